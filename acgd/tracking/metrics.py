@@ -1,0 +1,89 @@
+"""Curves of a stage: one JSON object a line, beside the artifact they belong to.
+
+The file is the source of truth; MLflow only mirrors it. It holds no clock, so the same run writes the same bytes.
+"""
+
+import json
+import math
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+Row = dict[str, Any]
+"""{"step": int, name: float, ...}"""
+
+FLUSH_EVERY = 200
+"""Rows held back at most, so that a curve can be watched while its stage runs."""
+
+_NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+
+
+class Metrics:
+    """Appends rows to `path`. A stage that checkpoints calls `flush` there, and `rewind(step)` when it goes on from one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._pending: list[str] = []
+
+    def log(self, step: int, **values: float) -> None:
+        """Adds one row. Values are Python, numpy or torch scalars; non-finite ones are kept, as "nan", "inf", "-inf"."""
+        row: Row = {"step": int(step)}
+        for name, value in values.items():
+            row[name] = _encode(float(value))
+        self._pending.append(json.dumps(row) + "\n")
+        if len(self._pending) >= FLUSH_EVERY:
+            self.flush()
+
+    def flush(self) -> None:
+        """Brings every row logged so far onto the disk."""
+        if not self._pending:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.write("".join(self._pending))
+            file.flush()
+            os.fsync(file.fileno())
+        self._pending.clear()
+
+    def rewind(self, step: int) -> None:
+        """Drops the rows after `step`, and a last line cut short by a kill: what follows is logged again on resume."""
+        self.flush()
+        if not self.path.exists():
+            return
+        kept = [line for line in _whole_lines(self.path) if json.loads(line)["step"] <= step]
+        draft = self.path.with_name(self.path.name + ".tmp")
+        with open(draft, "w", encoding="utf-8") as file:
+            file.write("".join(kept))
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(draft, self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.flush()
+
+
+def read(path: Path) -> list[Row]:
+    """The rows of a metrics file, in the order they were logged; no rows where there is no file."""
+    path = Path(path)
+    if not path.exists():
+        return []
+    return [{name: _decode(value) for name, value in json.loads(line).items()} for line in _whole_lines(path)]
+
+
+def _whole_lines(path: Path) -> list[str]:
+    """Lines that end in a newline. A killed writer can leave half a line, and only as the last one."""
+    with open(path, encoding="utf-8") as file:
+        return [line for line in file if line.endswith("\n")]
+
+
+def _encode(value: float) -> float | str:
+    """JSON has no NaN; a diverged loss is worth seeing, so it is kept as a string."""
+    return value if math.isfinite(value) else str(value)
+
+
+def _decode(value: float | str) -> float:
+    return _NON_FINITE[value] if isinstance(value, str) else value
