@@ -1,0 +1,279 @@
+"""The MyoDex suite: ten MyoSuite hand tasks with image, proprio and privileged state.
+
+One control step is MyoSuite's own: clip the action to [-1, 1], squash it to a muscle excitation, step
+the physics, score. Added here: dict observations in one joint order for the whole suite, perturbed
+starts, the three kinds of success, and snapshots that continue bit for bit.
+"""
+
+import contextlib
+import io
+import warnings
+from dataclasses import dataclass
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from acgd.config.task import TaskConfig
+from acgd.tasks import starts
+from acgd.tasks.spec import TaskSpec
+from acgd.tasks.success import SuccessCounter
+
+HAND_JOINTS = (
+    "pro_sup", "deviation", "flexion",
+    "cmc_abduction", "cmc_flexion", "mp_flexion", "ip_flexion",
+    "mcp2_flexion", "mcp2_abduction", "pm2_flexion", "md2_flexion",
+    "mcp3_flexion", "mcp3_abduction", "pm3_flexion", "md3_flexion",
+    "mcp4_flexion", "mcp4_abduction", "pm4_flexion", "md4_flexion",
+    "mcp5_flexion", "mcp5_abduction", "pm5_flexion", "md5_flexion",
+)  # fmt: skip
+"""Order of the hand's 23 joints in `proprio`. The suite's models disagree on the order of the thumb's."""
+
+MODEL_FIELDS = {
+    "key-turn": ("body_pos",),
+    "obj-hold": ("site_pos", "site_size", "geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia",
+                 "body_subtreemass", "body_invweight0", "dof_invweight0", "body_ipos", "body_iquat"),
+    "pen-twirl": ("body_quat",),
+    "pose": ("site_pos",),
+    "reach": ("site_pos",),
+}  # fmt: skip
+"""Fields of mjModel that a reset writes: with the integration state they determine the episode."""
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything that the continuation of an episode depends on."""
+
+    integration: np.ndarray
+    """(N,) float64, mjSTATE_INTEGRATION."""
+    model_fields: dict[str, np.ndarray]
+    """Fields of mjModel written at reset; `target_angles` (23,) for pose tasks."""
+    steps: int = 0
+    solved_steps: int = 0
+    solved: bool = False
+
+
+class MyoDexTask(gymnasium.Env):
+    """A MyoDex task.
+
+    Observations: `image` (H, W, 3) uint8 (absent with `image=False`); `proprio` (85,) float32: hand joint
+    positions (rad), velocities times the control step (rad), muscle activations; `state` (S,) float32:
+    proprio and everything about object and goal, named by `state_layout`.
+
+    Actions: (39,) in [-1, 1], squashed by the suite to excitations 1 / (1 + exp(-5 (a - 0.5))).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        config: TaskConfig,
+        *,
+        image: bool = True,
+        reward_weights: dict[str, float] | None = None,
+    ) -> None:
+        self.spec, self.config = spec, config
+        self.base = _make_base(spec.gym_id)
+        self.render_mode = "rgb_array"
+        self.model, self.data = self.base.model, self.base.data
+        self.control_step = float(self.model.opt.timestep * self.base.frame_skip)
+        self.reward_weights = _merge_weights(spec.name, self.base.rwd_keys_wt, reward_weights)
+        self.base.rwd_keys_wt = self.reward_weights
+        self.ignore_time_limit = False
+        self.steps = 0
+        self.success = SuccessCounter()
+        self._state_size = mujoco.mj_stateSize(self.model, _STATE)
+        self._suite_draws_goal = spec.name.endswith("-hard")
+        self._hand_qpos, self._hand_qvel = _hand_addresses(self.model)
+        if spec.kind == "obj-hold":
+            self.base.nominal_goal = self.model.site_pos[self.base.goal_sid].copy()
+        elif spec.kind == "reach":
+            self.base.nominal_goal = np.array([span[0] for span in self.base.target_reach_range.values()])
+        elif spec.kind == "pose" and not self._suite_draws_goal:
+            self.base.nominal_goal = self.base.target_jnt_value.copy()
+        self._nominal_fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[spec.kind]}
+
+        self._renderer = None
+        self._image = image
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
+        self.base.reset(seed=0)
+        entries = self._state_entries()
+        self.state_layout, at = {}, 0
+        for name, value in entries.items():
+            self.state_layout[name] = slice(at, at + value.size)
+            at += value.size
+        spaces = {
+            "proprio": gymnasium.spaces.Box(-np.inf, np.inf, (46 + self.model.na,), np.float32),
+            "state": gymnasium.spaces.Box(-np.inf, np.inf, (at,), np.float32),
+        }
+        if image:
+            size = config.image_size
+            spaces["image"] = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
+        self.observation_space = gymnasium.spaces.Dict(spaces)
+
+    # -- episode ---------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Start an episode; the same seed gives the same start, whatever came before."""
+        super().reset(seed=seed)
+        if seed is None:
+            seed = int(self.np_random.integers(2**31))
+        for name, value in self._nominal_fields.items():
+            getattr(self.model, name)[:] = value
+        self.base.reset(seed=seed)
+        if self.config.start == "perturbed":
+            rng = np.random.default_rng([seed, 1])
+            starts.perturb(self.spec.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
+        mujoco.mj_forward(self.model, self.data)
+        self.steps, self.success = 0, SuccessCounter()
+        return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
+
+    def step(self, action: np.ndarray):
+        """One control step. `truncated` at the time limit, unless `ignore_time_limit` is set."""
+        _, reward, terminated, _, info = self.base.step(np.asarray(action, np.float32))
+        terminated = terminated or self.base._check_mj_instability_termination()
+        self.steps += 1
+        self.success.update(bool(info["solved"]))
+        truncated = self.steps >= self.spec.horizon and not terminated and not self.ignore_time_limit
+        terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.reward_weights}
+        out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
+        return self._observe(), reward, terminated, truncated, out
+
+    def snapshot(self) -> Snapshot:
+        """The current state; `restore` continues from it bit for bit."""
+        integration = np.empty(self._state_size)
+        mujoco.mj_getState(self.model, self.data, integration, _STATE)
+        fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[self.spec.kind]}
+        if self.spec.kind == "pose":
+            fields["target_angles"] = np.asarray(self.base.target_jnt_value, np.float64).copy()
+        return Snapshot(integration, fields, self.steps, self.success.solved_steps, self.success.last)
+
+    def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
+        """Go to a snapshot of the same task, and return its observation."""
+        for name, value in snapshot.model_fields.items():
+            if name == "target_angles":
+                self.base.target_jnt_value = value.copy()
+            else:
+                getattr(self.model, name)[:] = value
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, snapshot.integration, _STATE)
+        mujoco.mj_forward(self.model, self.data)
+        # the forward pass moves the solver's warm start: set it back
+        mujoco.mj_setState(self.model, self.data, snapshot.integration, _STATE)
+        self.steps = snapshot.steps
+        self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
+        return self._observe()
+
+    # -- observation -----------------------------------------------------------------------------
+
+    def render(self) -> np.ndarray:
+        """The current picture (H, W, 3) uint8."""
+        if self._renderer is None:
+            from acgd.tasks.cameras import CAMERAS
+            from acgd.tasks.rendering import Renderer
+
+            camera = CAMERAS[self.spec.kind]
+            self._renderer = Renderer(self.model, self.base._mj_spec, camera=camera, size=self.config.image_size)
+        return self._renderer.render(self.data)
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        entries = self._state_entries()
+        state = np.concatenate(list(entries.values())).astype(np.float32)
+        obs = {"proprio": state[: 46 + self.model.na].copy(), "state": state}
+        if self._image:
+            obs["image"] = self.render()
+        return obs
+
+    def _state_entries(self) -> dict[str, np.ndarray]:
+        """The privileged state by name; proprio comes first."""
+        data, step = self.data, self.control_step
+        entries = {
+            "hand_qpos": data.qpos[self._hand_qpos],
+            "hand_qvel": data.qvel[self._hand_qvel] * step,
+            "act": data.act.copy(),
+        }
+        return entries | _ENTRIES[self.spec.kind](self.base, data, step)
+
+
+def _key_entries(base, data, step: float) -> dict[str, np.ndarray]:
+    key = data.site_xpos[base.keyhead_sid].copy()
+    return {
+        "key_qpos": data.qpos[-1:].copy(),
+        "key_qvel": data.qvel[-1:] * step,
+        "key_pos": key,
+        "IFtip_approach": key - data.site_xpos[base.IF_sid],
+        "THtip_approach": key - data.site_xpos[base.TH_sid],
+    }
+
+
+def _hold_entries(base, data, step: float) -> dict[str, np.ndarray]:
+    position, goal = data.site_xpos[base.object_sid].copy(), data.site_xpos[base.goal_sid].copy()
+    return {
+        "obj_pos": position,
+        "goal_pos": goal,
+        "obj_err": goal - position,
+        "obj_rot": data.site_xmat[base.object_sid][:6].copy(),
+        "obj_vel": data.qvel[-6:] * step,
+        "obj_size": base.model.geom_size[-1].copy(),
+    }
+
+
+def _pen_entries(base, data, step: float) -> dict[str, np.ndarray]:
+    position, goal = data.xpos[base.obj_bid].copy(), data.site_xpos[base.eps_ball_sid]
+    rotation = (data.site_xpos[base.obj_t_sid] - data.site_xpos[base.obj_b_sid]) / base.pen_length
+    wanted = (data.site_xpos[base.tar_t_sid] - data.site_xpos[base.tar_b_sid]) / base.tar_length
+    return {
+        "obj_pos": position,
+        "obj_vel": data.qvel[-6:] * step,
+        "obj_rot": rotation,
+        "obj_des_rot": wanted,
+        "obj_err_pos": position - goal,
+        "obj_err_rot": rotation - wanted,
+    }
+
+
+def _pose_entries(base, data, step: float) -> dict[str, np.ndarray]:
+    return {
+        "pose_err": base.target_jnt_value - data.qpos,
+        "target_tips": data.site_xpos[base.target_sids].ravel(),
+    }
+
+
+def _reach_entries(base, data, step: float) -> dict[str, np.ndarray]:
+    tips, targets = data.site_xpos[base.tip_sids].ravel(), data.site_xpos[base.target_sids].ravel()
+    return {"tip_pos": tips, "target_pos": targets, "reach_err": targets - tips}
+
+
+_ENTRIES = {
+    "key-turn": _key_entries,
+    "obj-hold": _hold_entries,
+    "pen-twirl": _pen_entries,
+    "pose": _pose_entries,
+    "reach": _reach_entries,
+}
+
+
+def _make_base(gym_id: str):
+    """MyoSuite's environment without wrappers; its import and model warnings are not for our users."""
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        import myosuite  # noqa: F401  (registers the environments)
+
+        return gymnasium.make(gym_id).unwrapped
+
+
+def _hand_addresses(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses of HAND_JOINTS in qpos and qvel."""
+    ids = {model.joint(i).name.removesuffix("_r"): i for i in range(model.njnt)}
+    joints = [ids[name] for name in HAND_JOINTS]
+    return model.jnt_qposadr[joints].copy(), model.jnt_dofadr[joints].copy()
+
+
+def _merge_weights(task: str, weights: dict[str, float], changed: dict[str, float] | None) -> dict[str, float]:
+    unknown = set(changed or {}) - set(weights)
+    if unknown:
+        raise ValueError(f"{task} has no reward term {sorted(unknown)}; its terms are {sorted(weights)}")
+    return dict(weights) | dict(changed or {})
