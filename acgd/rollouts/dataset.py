@@ -1,0 +1,65 @@
+"""The demonstrations of one task, decoded once into memory."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from acgd.rollouts.store import read_attributes, read_group
+
+VALIDATION_FRACTION = 0.1
+SPLIT_SEED = 0
+
+BOOKKEEPING = ("episode_ends", "seed")
+"""Always read."""
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """E episodes on one flat time axis of T steps; arrays as in docs/rollouts.md."""
+
+    arrays: dict[str, np.ndarray]
+    """Name -> (T, ...), or (E, ...) for what an episode has once."""
+    episode_ends: np.ndarray
+    """(E,) int64, exclusive."""
+    seeds: np.ndarray
+    """(E,) int64."""
+    reward_terms: tuple[str, ...]
+    """Names of the columns of `reward_terms`."""
+
+    @classmethod
+    def load(cls, artifact_dir: Path, arrays: Sequence[str], *, failures: bool = False) -> "Demonstrations":
+        """Read the named arrays of a `rollouts` artifact. A missing or damaged chunk is an error."""
+        path = Path(artifact_dir) / "rollouts.zarr"
+        terms = tuple(read_attributes(path)["reward_terms"])
+        if failures:
+            path = path / "failures"
+            if not path.is_dir():
+                raise FileNotFoundError(f"{path} does not exist: collect with rollouts.keep_failures: true")
+        read = read_group(path, sorted({*arrays, *BOOKKEEPING}))
+        return cls({name: read[name] for name in arrays}, read["episode_ends"], read["seed"], terms)
+
+    @property
+    def episode_starts(self) -> np.ndarray:
+        """(E,) int64."""
+        return np.concatenate([[0], self.episode_ends[:-1]]).astype(np.int64)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """(E,) steps of each episode."""
+        return self.episode_ends - self.episode_starts
+
+    def split(
+        self, validation_fraction: float = VALIDATION_FRACTION, seed: int = SPLIT_SEED
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Training and validation episodes, each sorted. Both are non-empty when there are two episodes or more."""
+        episodes = len(self.episode_ends)
+        held_out = min(max(round(validation_fraction * episodes), 1), episodes - 1)
+        order = np.random.default_rng(seed).permutation(episodes)
+        return np.sort(order[held_out:]), np.sort(order[:held_out])
+
+    def steps_of(self, episodes: np.ndarray) -> np.ndarray:
+        """Flat time indices of all steps of `episodes`, in their order."""
+        starts, ends = self.episode_starts, self.episode_ends
+        return np.concatenate([np.arange(starts[e], ends[e]) for e in episodes] or [np.zeros(0, np.int64)])
