@@ -1,0 +1,50 @@
+"""Short films of episodes, the same bytes for the same episode."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from acgd.config.task import TaskConfig
+from acgd.evaluation.episodes import Episode
+from acgd.tasks import registry
+
+SIZE = 252
+"""Pixels a side; rendered anew at this size, since the policy's own images are small."""
+FRAMES_PER_S = 25
+LAST_FRAME_S = 0.6
+"""How long the last frame, on which `final` success is decided, stays."""
+
+
+def film(path: Path, task: TaskConfig, episode: Episode, actions: np.ndarray) -> None:
+    """Runs the episode again from its seed with its actions (steps, A), and writes it as mp4.
+
+    Raises RuntimeError if it ends differently, since then the simulation does not repeat and no result here would.
+    """
+    env = registry.make(task.model_copy(update={"image_size": SIZE}), image=False)
+    every = max(1, round(1 / (FRAMES_PER_S * env.control_step)))
+    env.reset(seed=episode.seed)
+    frames = [env.render().copy()]
+    for step, action in enumerate(actions, start=1):
+        *_, info = env.step(action)
+        if step % every == 0 or step == len(actions):
+            frames.append(env.render().copy())
+    if info["success"] != {"final": episode.final, "held": episode.held, "once": episode.once}:
+        raise RuntimeError(f"{task.name}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat")
+    rate = 1 / (every * env.control_step)
+    write_mp4(path, np.stack(frames + [frames[-1]] * round(LAST_FRAME_S * rate)), rate)
+
+
+def write_mp4(path: Path, frames: np.ndarray, frames_per_s: float) -> None:
+    """frames: (N, H, W, 3) uint8 with even H and W. H.264 that browsers play; one thread and no metadata, for equal bytes."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    _, height, width, _ = frames.shape
+    path.parent.mkdir(parents=True, exist_ok=True)
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{frames_per_s:g}", "-i", "-"]
+    codec = ["-c:v", "libx264", "-preset", "veryfast", "-crf", "26", "-pix_fmt", "yuv420p", "-threads", "1"]
+    plain = ["-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart"]
+    command = [get_ffmpeg_exe(), "-nostdin", "-y", "-loglevel", "error", *source, *codec, *plain, str(path)]
+    done = subprocess.run(command, input=np.ascontiguousarray(frames).tobytes(), capture_output=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"ffmpeg could not write {path}: {done.stderr.decode(errors='replace').strip()}")

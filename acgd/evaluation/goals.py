@@ -1,0 +1,43 @@
+"""Goal images o_T: the end of a demonstration, or of the expert's own run from the same seed (paper III-A; docs/deviations.md)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from acgd.config.task import TaskConfig
+from acgd.evaluation.episodes import Label, padded, roll
+from acgd.experts.policy import Expert
+from acgd.rollouts.dataset import Demonstrations
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+
+
+def demonstration_for(seed: int, demonstrations: int) -> int:
+    """The demonstration that an evaluation seed is given: the same for every student and every control."""
+    return int(np.random.default_rng([seed, 2]).integers(demonstrations))
+
+
+def training_goals(rollouts: Path, seeds: list[int]) -> np.ndarray:
+    """(m, H, W, 3) uint8: for each seed the last frame of a demonstration."""
+    images = Demonstrations.load(rollouts, ["final_image"]).arrays["final_image"]
+    return images[[demonstration_for(seed, len(images)) for seed in seeds]]
+
+
+def oracle_goals(task: TaskConfig, expert: Expert, seeds: list[int], size: int) -> np.ndarray:
+    """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
+    lock, camera = Lockstep(task, size, image=False), registry.make(task)
+    images = []
+    for at in range(0, len(seeds), size):
+        batch = seeds[at : at + size]
+        roll(lock, batch, expert_policy(expert, size), Label("expert", task.name, "none", "none", task.start))
+        images += [camera.restore(env.snapshot())["image"] for env in lock.envs[: len(batch)]]
+    return np.stack(images)
+
+
+def expert_policy(expert: Expert, size: int):
+    """The expert's mean action on the privileged state, computed `size` rows at a time."""
+
+    def act(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
+        return expert.mean(padded(obs["state"], size))[: len(obs["state"])]
+
+    return act
