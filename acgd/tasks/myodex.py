@@ -98,6 +98,8 @@ class MyoDexTask(gymnasium.Env):
 
         self._renderer = None
         self._image = image
+        if not image and spec.name != "myo/obj-hold-hard":  # which refreshes geoms from the spec at every reset
+            self.base._mj_spec = None  # 40 MB an environment
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self.base.reset(seed=0)
         entries = self._state_entries()
@@ -176,7 +178,7 @@ class MyoDexTask(gymnasium.Env):
             from acgd.tasks.rendering import Renderer
 
             camera = CAMERAS[self.spec.kind]
-            self._renderer = Renderer(self.model, self.base._mj_spec, camera=camera, size=self.config.image_size)
+            self._renderer = Renderer(self.model, camera=camera, size=self.config.image_size)
         return self._renderer.render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:

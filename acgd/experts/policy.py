@@ -1,0 +1,80 @@
+"""A trained expert as plain torch: a Gaussian policy on the privileged state."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+STATE_CLIP = 10.0
+"""Normalised states are clipped to this many standard deviations, as in training."""
+
+
+class Expert(nn.Module):
+    """Two tanh layers over the normalised state; mean action (A,) and a state-independent spread.
+
+    Actions are clipped to [-1, 1]: PPO's mean can leave the action box, and the clipped action is what
+    the simulator executes and what a student imitates.
+    """
+
+    def __init__(self, state_dim: int, action_dim: int, width: int, meta: dict | None = None) -> None:
+        super().__init__()
+        self.register_buffer("state_mean", torch.zeros(state_dim))
+        self.register_buffer("state_std", torch.ones(state_dim))
+        self.register_buffer("log_std", torch.zeros(action_dim))
+        self.hidden1 = nn.Linear(state_dim, width)
+        self.hidden2 = nn.Linear(width, width)
+        self.action = nn.Linear(width, action_dim)
+        self.meta = dict(meta or {})
+        """Task, reward weights and discount of its training."""
+        self.eval().requires_grad_(False)
+
+    def mean_tensor(self, state: Tensor) -> Tensor:
+        """Deterministic action (B, A) in [-1, 1] for states (B, S)."""
+        x = ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
+        x = torch.tanh(self.hidden2(torch.tanh(self.hidden1(x))))
+        return self.action(x).clamp(-1.0, 1.0)
+
+    def mean(self, state: np.ndarray) -> np.ndarray:
+        """`mean_tensor` for arrays: (B, S) float32 -> (B, A) float32."""
+        return self.mean_tensor(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
+
+    def sample(self, state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Stochastic action (B, A): Gaussian around the unclipped mean, then clipped to [-1, 1]."""
+        x = torch.from_numpy(np.ascontiguousarray(state, np.float32))
+        x = ((x - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
+        mean = self.action(torch.tanh(self.hidden2(torch.tanh(self.hidden1(x))))).numpy()
+        noise = rng.standard_normal(mean.shape).astype(np.float32)
+        return np.clip(mean + self.log_std.exp().numpy() * noise, -1.0, 1.0)
+
+    def save(self, folder: Path) -> None:
+        """Write policy.safetensors and policy.json."""
+        folder = Path(folder)
+        save_file({k: v.contiguous() for k, v in self.state_dict().items()}, folder / "policy.safetensors")
+        (folder / "policy.json").write_text(json.dumps(self.meta, indent=1, sort_keys=True) + "\n")
+
+    @classmethod
+    def load(cls, folder: Path) -> "Expert":
+        """Read what `save` wrote. FileNotFoundError and ValueError name the file and the mend."""
+        folder = Path(folder)
+        weights, meta = folder / "policy.safetensors", folder / "policy.json"
+        for path in (weights, meta):
+            if not path.is_file():
+                raise FileNotFoundError(f"no {path}: set expert.source to train, or restore zoo/ from the repository")
+        tensors = load_file(weights)
+        width, state_dim = tensors["hidden1.weight"].shape
+        expert = cls(state_dim, tensors["action.weight"].shape[0], width, json.loads(meta.read_text()))
+        expert.load_state_dict(tensors)
+        return expert
+
+    @classmethod
+    def random(cls, state_dim: int, action_dim: int, seed: int = 0, meta: dict | None = None) -> "Expert":
+        """An untrained expert, for tests and as a floor."""
+        expert = cls(state_dim, action_dim, 32, {"reward_weights": {}, "gamma": 0.97} | dict(meta or {}))
+        generator = torch.Generator().manual_seed(seed)
+        for tensor in (expert.hidden1.weight, expert.hidden2.weight, expert.action.weight):
+            tensor.copy_(torch.randn(tensor.shape, generator=generator) / tensor.shape[1] ** 0.5)
+        expert.log_std.fill_(-1.0)
+        return expert

@@ -1,0 +1,193 @@
+"""PPO on the privileged state, with stable-baselines3: one task, one core, checkpoints and a curve.
+
+The run is cut into segments of one rollout. After each, everything that the next depends on is a
+safetensors file and a JSON file, so that a killed run goes on. Environments restart their episodes
+then, with seeds that depend on the step alone: uninterrupted runs restart them at the same places.
+"""
+
+import csv
+import json
+import os
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from acgd.config.expert import ExpertRequest, PPOConfig
+from acgd.config.task import TaskConfig
+from acgd.experts.policy import STATE_CLIP, Expert
+from acgd.experts.success import ENVIRONMENTS, episodes
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+
+
+class StateOnly(gymnasium.ObservationWrapper):
+    """The privileged state as the whole observation, and seeds from the training range."""
+
+    def __init__(self, task: TaskConfig, ppo: PPOConfig, stream: int) -> None:
+        super().__init__(registry.make(task, image=False, reward_weights=ppo.reward_weights))
+        self.observation_space = self.env.observation_space["state"]
+        self._rng = np.random.default_rng(stream)
+
+    def reseed(self, entropy: list[int]) -> None:
+        """Start a new stream of episode seeds."""
+        self._rng = np.random.default_rng(entropy)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Ignores `seed`: the stream decides."""
+        first, last = SEEDS.expert_training.start, SEEDS.expert_training.stop
+        obs, info = self.env.reset(seed=int(self._rng.integers(first, last)))
+        return self.observation(obs), info
+
+    def observation(self, observation: dict) -> np.ndarray:
+        """The state alone."""
+        return observation["state"]
+
+
+def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Expert, list[dict]]:
+    """Train, or go on from the checkpoint in `state`. Returns the best expert and the learning curve.
+
+    The best is chosen by (final success, return) on validation seeds, never on the card's.
+    """
+    settings, ppo = config.expert, config.expert.ppo
+    envs = [StateOnly(config.task, ppo, i) for i in range(ppo.envs)]
+    venv = VecNormalize(DummyVecEnv([lambda e=e: e for e in envs]), gamma=ppo.gamma, clip_obs=STATE_CLIP)
+    model = PPO(
+        "MlpPolicy", venv, seed=settings.seed, device="cpu", verbose=0,
+        learning_rate=lambda left: ppo.learning_rate_end + (ppo.learning_rate - ppo.learning_rate_end) * left,
+        n_steps=ppo.rollout_steps, batch_size=ppo.batch, n_epochs=ppo.epochs, gamma=ppo.gamma,
+        gae_lambda=ppo.gae_lambda, clip_range=ppo.clip, ent_coef=ppo.entropy,
+        policy_kwargs={"net_arch": [ppo.width, ppo.width], "log_std_init": float(np.log(ppo.initial_std))},
+    )  # fmt: skip
+    curve = _load(state, model, venv)
+    metrics.rewind(model.num_timesteps)
+    lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=ppo.reward_weights)
+    meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": ppo.reward_weights, "algorithm": "ppo"}
+    segment = ppo.envs * ppo.rollout_steps
+    due = settings.checkpoint_every
+    with progress(ppo.steps, f"expert {config.task.name}") as bar:
+        bar.update(model.num_timesteps)
+        while model.num_timesteps < ppo.steps:
+            before = model.num_timesteps
+            for i, env in enumerate(envs):
+                env.reseed([settings.seed, before, i])
+            torch.manual_seed(settings.seed * 1_000_003 + before)
+            np.random.seed((settings.seed * 1_000_003 + before) % 2**32)
+            model._last_obs = None  # restart the episodes, as a resumed run has to
+            model._total_timesteps = ppo.steps
+            model.learn(segment, callback=_Schedule(ppo.steps), reset_num_timesteps=False)
+            now = model.num_timesteps
+            if now // settings.evaluate_every > before // settings.evaluate_every or now >= ppo.steps:
+                expert = export(model, venv, meta)
+                row = _point(expert, config, lock, now)
+                row["std"] = float(model.policy.log_std.detach().exp().mean())
+                curve.append(row)
+                metrics.log(now, **{k: v for k, v in row.items() if k != "step"})
+                if row == max(curve, key=lambda r: (r["final"], r["return"])):
+                    (state / "best").mkdir(parents=True, exist_ok=True)
+                    expert.meta["steps"] = now
+                    expert.save(state / "best")
+                bar.update(now - before, final=row["final"], ret=row["return"])
+            else:
+                bar.update(now - before)
+            due -= now - before
+            if due <= 0 or now >= ppo.steps:
+                due = settings.checkpoint_every
+                metrics.flush()
+                _save(state, model, venv, curve)
+    return Expert.load(state / "best"), curve
+
+
+class _Schedule(BaseCallback):
+    """Keeps stable-baselines3's idea of progress on the whole run, not on the segment."""
+
+    def __init__(self, total: int) -> None:
+        super().__init__()
+        self._total = total
+
+    def _on_training_start(self) -> None:
+        self.model._total_timesteps = self._total
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
+    """The policy of `model` with the normaliser of `venv`, as plain torch."""
+    policy = model.policy
+    hidden = policy.mlp_extractor.policy_net
+    state_dim, action_dim = policy.observation_space.shape[0], policy.action_space.shape[0]
+    expert = Expert(state_dim, action_dim, hidden[0].out_features, meta)
+    expert.load_state_dict(
+        {
+            "state_mean": torch.as_tensor(venv.obs_rms.mean, dtype=torch.float32),
+            "state_std": torch.as_tensor(np.sqrt(venv.obs_rms.var + venv.epsilon), dtype=torch.float32),
+            "log_std": policy.log_std.detach(),
+            "hidden1.weight": hidden[0].weight.detach(), "hidden1.bias": hidden[0].bias.detach(),
+            "hidden2.weight": hidden[2].weight.detach(), "hidden2.bias": hidden[2].bias.detach(),
+            "action.weight": policy.action_net.weight.detach(), "action.bias": policy.action_net.bias.detach(),
+        }
+    )  # fmt: skip
+    return expert
+
+
+def _point(expert: Expert, config: ExpertRequest, lock: Lockstep, step: int) -> dict:
+    rows = episodes(expert, config.task, SEEDS.validation.take(config.expert.evaluation_episodes), lock)
+    keys = ("final", "held", "once", "return", "steps")
+    mean = {k: float(np.mean([row[k] for row in rows])) for k in keys}
+    return {"step": step, **{k: mean[k] for k in keys[:4]}, "length": mean["steps"]}
+
+
+def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> None:
+    """One atomic checkpoint: weights, Adam's moments and normalisers; step and curve."""
+    state.mkdir(parents=True, exist_ok=True)
+    tensors = {f"policy.{k}": v.detach().clone().contiguous() for k, v in model.policy.state_dict().items()}
+    for i, slot in model.policy.optimizer.state_dict()["state"].items():
+        tensors |= {f"adam.{i}.{k}": torch.as_tensor(v, dtype=torch.float32).clone() for k, v in slot.items()}
+    for name, rms in (("obs", venv.obs_rms), ("ret", venv.ret_rms)):
+        tensors[f"{name}.mean"] = torch.as_tensor(np.atleast_1d(rms.mean), dtype=torch.float64)
+        tensors[f"{name}.var"] = torch.as_tensor(np.atleast_1d(rms.var), dtype=torch.float64)
+        tensors[f"{name}.count"] = torch.tensor([rms.count], dtype=torch.float64)
+    note = {"step": json.dumps(model.num_timesteps), "updates": json.dumps(model._n_updates), "curve": json.dumps(curve)}
+    partial = state / "checkpoint.partial"
+    save_file(tensors, partial, metadata=note)
+    os.replace(partial, state / "checkpoint.safetensors")
+
+
+def _load(state: Path, model: PPO, venv: VecNormalize) -> list[dict]:
+    """Go to the checkpoint if there is one; returns the curve so far."""
+    path = state / "checkpoint.safetensors"
+    if not path.is_file():
+        return []
+    from safetensors import safe_open
+
+    with safe_open(path, "pt") as file:
+        note = file.metadata()
+    tensors = load_file(path)
+    model.policy.load_state_dict({k[7:]: v for k, v in tensors.items() if k.startswith("policy.")})
+    adam = model.policy.optimizer.state_dict()
+    count = len(adam["param_groups"][0]["params"])
+    adam["state"] = {
+        i: {k: tensors[f"adam.{i}.{k}"] for k in ("step", "exp_avg", "exp_avg_sq")} for i in range(count)
+    }
+    model.policy.optimizer.load_state_dict(adam)
+    for name, rms in (("obs", venv.obs_rms), ("ret", venv.ret_rms)):
+        mean, var = tensors[f"{name}.mean"].numpy(), tensors[f"{name}.var"].numpy()
+        rms.mean, rms.var = (mean, var) if name == "obs" else (mean[0], var[0])
+        rms.count = float(tensors[f"{name}.count"])
+    model.num_timesteps, model._n_updates = json.loads(note["step"]), json.loads(note["updates"])
+    return json.loads(note["curve"])
+
+
+def write_curve(curve: list[dict], path: Path) -> None:
+    """The learning curve as csv."""
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(curve[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(curve)

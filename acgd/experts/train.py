@@ -1,0 +1,99 @@
+"""The expert stage: take a trained expert from the zoo, or train one."""
+
+import hashlib
+import importlib.metadata
+import json
+import shutil
+from pathlib import Path
+
+from scipy.stats import binomtest
+
+from acgd.artifacts.stage import Context, Inputs
+from acgd.config.expert import ExpertRequest
+from acgd.experts.policy import Expert
+from acgd.experts.success import episodes
+from acgd.tasks.registry import TASKS
+from acgd.tasks.seeds import SEEDS
+
+ZOO = Path(__file__).resolve().parents[2] / "zoo"
+FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
+SIMULATOR = ("mujoco", "myosuite", "myo-sim")
+
+
+def train(config: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
+    """Write policy.safetensors, policy.json, card.json and curve.csv of one expert."""
+    if config.expert.source == "zoo":
+        take(TASKS[config.task.name].slug, ctx)
+        return
+    from acgd.experts.ppo import train_ppo, write_curve
+
+    expert, curve = train_ppo(config, ctx.state, ctx.metrics, ctx.progress)
+    expert.save(ctx.out)
+    write_curve(curve, ctx.out / "curve.csv")
+    write_card(card(config, ctx.out), ctx.out)
+
+
+def take(slug: str, ctx: Context) -> None:
+    """Copy zoo/<slug>, after checking that the card belongs to the weights."""
+    folder = ZOO / slug
+    check(folder)
+    for name in FILES:
+        shutil.copyfile(folder / name, ctx.out / name)
+    for line in (folder / "curve.csv").read_text().splitlines()[1:]:
+        step, final, held, once, total = line.split(",")[:5]
+        ctx.metrics.log(int(step), final=float(final), held=float(held), once=float(once), **{"return": float(total)})
+
+
+def check(folder: Path) -> dict:
+    """The card of a zoo entry. Raises FileNotFoundError or ValueError where weights and card do not fit."""
+    missing = [name for name in FILES if not (folder / name).is_file()]
+    if missing:
+        have = sorted(path.parent.name for path in ZOO.glob("*/card.json"))
+        raise FileNotFoundError(
+            f"{folder} lacks {', '.join(missing)}: set expert.source to train, or use a task of the zoo ({', '.join(have)})"
+        )
+    found = json.loads((folder / "card.json").read_text())
+    if found["sha256"] != sha256(folder / "policy.safetensors"):
+        raise ValueError(
+            f"{folder}/card.json is not the card of the policy.safetensors beside it: "
+            f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
+        )
+    return found
+
+
+def card(config: ExpertRequest, folder: Path) -> dict:
+    """Measure the expert in `folder` on held-out seeds: what it is, how it was trained, how well it does."""
+    expert = Expert.load(folder)
+    rows = episodes(expert, config.task, SEEDS.expert_card.take(config.expert.card_episodes))
+    settings = config.expert
+    return {
+        "task": config.task.name,
+        "algorithm": "PPO (stable-baselines3)",
+        "steps": expert.meta.get("steps", settings.ppo.steps),
+        "seed": settings.seed,
+        "settings": settings.ppo.model_dump(),
+        "start": config.task.start,
+        "versions": {name: importlib.metadata.version(name) for name in (*SIMULATOR, "stable-baselines3", "torch")},
+        "success": {rule: wilson([row[rule] for row in rows]) for rule in ("final", "held", "once")},
+        "return": sum(row["return"] for row in rows) / len(rows),
+        "episodes": len(rows),
+        "first_seed": rows[0]["seed"],
+        "sha256": sha256(folder / "policy.safetensors"),
+    }
+
+
+def wilson(outcomes: list[bool]) -> dict:
+    """Rate with its 95% Wilson interval."""
+    n, k = len(outcomes), int(sum(outcomes))
+    interval = binomtest(k, n).proportion_ci(0.95, method="wilson")
+    return {"successes": k, "rate": k / n, "low": float(interval.low), "high": float(interval.high)}
+
+
+def write_card(content: dict, folder: Path) -> None:
+    """card.json in a stable order."""
+    (folder / "card.json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+
+
+def sha256(path: Path) -> str:
+    """Checksum of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,101 @@
+"""`acgd zoo`: list, verify and re-evaluate the trained experts that come with the project."""
+
+import argparse
+import importlib.metadata
+import json
+import sys
+
+
+def add_parser(subparsers) -> None:
+    """Add `zoo list | verify | evaluate | card` to the command line."""
+    zoo = subparsers.add_parser("zoo", help="list, verify and re-evaluate the trained experts in zoo/")
+    verbs = zoo.add_subparsers(dest="verb", required=True)
+    verbs.add_parser("list", help="a line for each expert").set_defaults(run=_list)
+    verbs.add_parser("verify", help="check cards against weights and versions").set_defaults(run=_verify)
+    evaluate = verbs.add_parser("evaluate", help="measure an expert's success again")
+    evaluate.add_argument("task", help="name or slug, such as myo/key-turn")
+    evaluate.add_argument("--episodes", type=int, default=200)
+    evaluate.add_argument("--seed", type=int, default=0, help="offset into the seeds for expert cards")
+    evaluate.add_argument("--start", choices=("perturbed", "nominal"), default="perturbed")
+    evaluate.add_argument("--json", action="store_true")
+    evaluate.set_defaults(run=_evaluate)
+    rewrite = verbs.add_parser("card", help="measure an expert and rewrite its card")
+    rewrite.add_argument("task")
+    rewrite.add_argument("--episodes", type=int, default=200)
+    rewrite.set_defaults(run=_card)
+
+
+def _entries():
+    from acgd.experts.train import ZOO
+    from acgd.tasks.registry import TASKS
+
+    return [(spec, ZOO / spec.slug) for spec in TASKS.values() if (ZOO / spec.slug).is_dir()]
+
+
+def _find(name: str):
+    import difflib
+
+    entries = {spec.slug: (spec, folder) for spec, folder in _entries()}
+    slug = name.replace("/", "-")
+    if slug not in entries:
+        near = difflib.get_close_matches(slug, entries, n=1, cutoff=0.0)
+        sys.exit(f"the zoo has no {name!r}; nearest is {near[0] if near else 'none'}. It has: {', '.join(entries)}")
+    return entries[slug]
+
+
+def _list(args: argparse.Namespace) -> int:
+    for spec, folder in _entries():
+        card = json.loads((folder / "card.json").read_text())
+        final = card["success"]["final"]
+        print(f"{spec.name:22} {card['algorithm']:24} {card['steps']:>9} steps  "
+              f"final {final['rate']:.2f} [{final['low']:.2f}, {final['high']:.2f}] of {card['episodes']}")  # fmt: skip
+    return 0
+
+
+def _verify(args: argparse.Namespace) -> int:
+    from acgd.experts.train import check
+
+    bad = 0
+    for spec, folder in _entries():
+        try:
+            card = check(folder)
+        except (ValueError, FileNotFoundError) as error:
+            print(f"{spec.name}: {error}")
+            bad += 1
+            continue
+        notes = [f"{name} {have} here, {trained} in training" for name, trained in card["versions"].items()
+                 if (have := importlib.metadata.version(name)) != trained]  # fmt: skip
+        print(f"{spec.name}: sound" + (f"; warning: {'; '.join(notes)}: re-evaluate it" if notes else ""))
+    return 1 if bad else 0
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    from acgd.config.task import TaskConfig
+    from acgd.experts.policy import Expert
+    from acgd.experts.success import episodes
+    from acgd.experts.train import check, wilson
+    from acgd.tasks.seeds import SEEDS
+
+    spec, folder = _find(args.task)
+    check(folder)
+    count = 1 if args.start == "nominal" else args.episodes
+    rows = episodes(Expert.load(folder), TaskConfig(name=spec.name, start=args.start), SEEDS.expert_card.take(count, args.seed))
+    result = {"task": spec.name, "start": args.start, "episodes": count, "first_seed": rows[0]["seed"],
+              "success": {rule: wilson([row[rule] for row in rows]) for rule in ("final", "held", "once")}}  # fmt: skip
+    if args.json:
+        print(json.dumps(result))
+    else:
+        for rule, value in result["success"].items():
+            print(f"{spec.name} {rule:6} {value['rate']:.3f} [{value['low']:.3f}, {value['high']:.3f}] of {count}")
+    return 0
+
+
+def _card(args: argparse.Namespace) -> int:
+    from acgd.config.expert import ExpertRequest
+    from acgd.experts.train import card, write_card
+
+    spec, folder = _find(args.task)
+    request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
+    request = request.model_copy(update={"expert": request.expert.model_copy(update={"card_episodes": args.episodes})})
+    write_card(card(request, folder), folder)
+    return _list(args)
