@@ -36,7 +36,7 @@ class Demonstrations:
         if failures:
             path = path / "failures"
             if not path.is_dir():
-                raise FileNotFoundError(f"{path} does not exist: collect with rollouts.keep_failures: true")
+                raise FileNotFoundError(f"no {path}: set rollouts.keep_failures: true, unless summary.json says that no episode failed")
         read = read_group(path, sorted({*arrays, *BOOKKEEPING}))
         return cls({name: read[name] for name in arrays}, read["episode_ends"], read["seed"], terms)
 

@@ -1,0 +1,32 @@
+"""See recorded episodes again: the same frames from the stored simulation state, or other sizes and cameras."""
+
+from pathlib import Path
+
+import numpy as np
+
+from acgd.config.task import TaskConfig
+from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.episode import FIELDS
+from acgd.rollouts.store import read_attributes
+from acgd.tasks import registry
+from acgd.tasks.myodex import Snapshot
+
+
+def rerender(artifact_dir: Path, task: TaskConfig, episodes: list[int] | None = None) -> dict[int, np.ndarray]:
+    """Frames (T + 1, H, W, 3) uint8 of each episode, the final observation last.
+
+    With the task that the episodes were collected from, they equal the stored ones byte for byte;
+    with another `image_size`, they are what the camera would have seen.
+    """
+    stored = read_attributes(Path(artifact_dir) / "rollouts.zarr")["chunks"]
+    fields = [name for name in stored if name.startswith(FIELDS)]
+    demos = Demonstrations.load(artifact_dir, ["integration", "final_integration", *fields])
+    env = registry.make(task, image=True)
+    env.reset(seed=0)
+    frames = {}
+    for e in range(len(demos.episode_ends)) if episodes is None else episodes:
+        model = {name.removeprefix(FIELDS): demos.arrays[name][e] for name in fields}
+        states = demos.arrays["integration"][demos.episode_starts[e] : demos.episode_ends[e]]
+        states = [*states, demos.arrays["final_integration"][e]]
+        frames[e] = np.stack([env.restore(Snapshot(state, model))["image"] for state in states])
+    return frames
