@@ -1,0 +1,68 @@
+"""Numbers as the report writes them."""
+
+import math
+
+
+def proportion(rate: float, low: float, high: float, successes: int | None = None, episodes: int | None = None) -> str:
+    """0.84 [0.74, 0.91] (63/75)"""
+    counts = "" if episodes is None else f" ({successes}/{episodes})"
+    return f"{rate:.2f}{bracket(low, high)}{counts}"
+
+
+def difference(mean: float, low: float, high: float) -> str:
+    """+0.04 [−0.02, +0.10]"""
+    return f"{signed(mean)}{bracket(low, high, signed)}"
+
+
+def bracket(low: float, high: float, write=lambda value: f"{value:.2f}") -> str:
+    """The interval with a space before it; nothing where there is none."""
+    return "" if math.isnan(low) or math.isnan(high) else f" [{write(low)}, {write(high)}]"
+
+
+def signed(value: float) -> str:
+    """A true minus sign, and no sign on what rounds to zero."""
+    text = f"{value:+.2f}".replace("-", "−")
+    return "0.00" if text[1:] == "0.00" else text
+
+
+def points(fraction: float) -> str:
+    """0.34 -> 34 points"""
+    count = round(100 * fraction)
+    return f"{count} point" + ("" if count == 1 else "s")
+
+
+def duration(seconds: float | None) -> str:
+    """4.2 s, 3:05 min, 2:11 h"""
+    if seconds is None or math.isnan(seconds):
+        return "–"
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d} h" if minutes >= 60 else f"{minutes}:{rest:02d} min"
+
+
+def size(count: float | None) -> str:
+    """Bytes in decimal units."""
+    if count is None or math.isnan(count):
+        return "–"
+    for unit in ("B", "kB", "MB"):
+        if count < 999.5:
+            return f"{count:.0f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
+def figure(value: object) -> str:
+    """Any other number, to three significant digits; – where it is missing."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    if isinstance(value, int) or float(value).is_integer():
+        return f"{int(value):,}".replace(",", " ") if abs(value) < 1e15 else f"{value:.2e}"
+    return f"{value:.3g}".replace("-", "−")
+
+
+def listing(items: list[str]) -> str:
+    """a, b and c"""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""
