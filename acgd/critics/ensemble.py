@@ -1,0 +1,84 @@
+"""Q_i: an ensemble of LayerNorm networks on privileged state and action, stacked into batched weights."""
+
+import json
+from pathlib import Path
+from typing import Self
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+WEIGHTS, META = "critic.safetensors", "critic.json"
+STATE_CLIP = 10.0
+"""Normalised states are clipped here: a freak state must not throw a frozen critic off its data."""
+
+
+class Critic(nn.Module):
+    """Q(s, a) of one task's expert, for each member of the ensemble, in reward units.
+
+    Parameters are stacked over the M members, `(M, in, out)`, so that a forward pass is one batched product per layer.
+    Everything that maps raw inputs to reward units is inside, as buffers:
+    `state_mean`, `state_std` (S,) normalise the state; `shift`, `scale` () turn the networks' output into a return;
+    `spread` () is the standard deviation of Q over the data of the fit, the unit in which tasks are compared.
+    """
+
+    state_mean: Tensor
+    state_std: Tensor
+    shift: Tensor
+    scale: Tensor
+    spread: Tensor
+
+    def __init__(self, state_dim: int, action_dim: int, members: int = 2, width: int = 128, depth: int = 2,
+                 generator: torch.Generator | None = None) -> None:
+        super().__init__()
+        self.shape = {"state_dim": state_dim, "action_dim": action_dim, "members": members, "width": width, "depth": depth}
+        sizes = [state_dim + action_dim] + [width] * depth + [1]
+        self.weights = nn.ParameterList(
+            nn.Parameter(torch.randn(members, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
+        )
+        # The bias of a hidden layer stands after its LayerNorm, which would undo one before it.
+        self.gains = nn.ParameterList(nn.Parameter(torch.ones(members, 1, width)) for _ in range(depth))
+        self.biases = nn.ParameterList(nn.Parameter(torch.zeros(members, 1, m)) for m in sizes[1:])
+        for name, value in {"state_mean": torch.zeros(state_dim), "state_std": torch.ones(state_dim),
+                            "shift": torch.zeros(()), "scale": torch.ones(()), "spread": torch.ones(())}.items():
+            self.register_buffer(name, value)
+        self.meta: dict = {}
+
+    @property
+    def members(self) -> int:
+        return self.shape["members"]
+
+    def normalise(self, state: Tensor) -> Tensor:
+        """(..., S) in the simulator's units -> (..., S) as the networks read it."""
+        return ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
+
+    def standard(self, state: Tensor, action: Tensor) -> Tensor:
+        """(B, S), (B, A) -> (M, B), before `shift` and `scale`: what the fit regresses."""
+        return stacked_mlp(torch.cat([self.normalise(state), action], -1), self.weights, self.gains, self.biases)
+
+    def forward(self, state: Tensor, action: Tensor) -> Tensor:
+        """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""
+        return self.shift + self.scale * self.standard(state, action)
+
+    def save(self, directory: Path) -> None:
+        """Weights and normalisers as safetensors; shape and `meta` as JSON."""
+        save_file({name: value.contiguous() for name, value in self.state_dict().items()}, directory / WEIGHTS)
+        (directory / META).write_text(json.dumps({"shape": self.shape, **self.meta}, indent=1, sort_keys=True) + "\n")
+
+    @classmethod
+    def load(cls, directory: Path) -> Self:
+        """A critic as it was saved, in eval mode."""
+        meta = json.loads((Path(directory) / META).read_text())
+        critic = cls(**meta.pop("shape"))
+        critic.load_state_dict(load_file(Path(directory) / WEIGHTS))
+        critic.meta = meta
+        return critic.eval()
+
+
+def stacked_mlp(x: Tensor, weights: nn.ParameterList, gains: nn.ParameterList, biases: nn.ParameterList) -> Tensor:
+    """(B, in) or (M, B, in) -> (M, B): linear, LayerNorm, SiLU per hidden layer, then one linear output, member by member."""
+    x = x.expand(weights[0].shape[0], *x.shape[-2:])
+    for weight, gain, bias in zip(weights, gains, biases):
+        x = F.silu(torch.addcmul(bias, F.layer_norm(torch.bmm(x, weight), weight.shape[-1:]), gain))
+    return torch.baddbmm(biases[-1], x, weights[-1]).squeeze(-1)

@@ -1,0 +1,92 @@
+"""The critic stage: gather what the frozen expert meets, fit Q to it, and measure how far Q can be trusted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from acgd.artifacts.stage import Context, Inputs
+from acgd.config.critic import CriticConfig, CriticRequest
+from acgd.critics import quality
+from acgd.critics.fitted_q import FittedQ
+from acgd.critics.gather import branches, candidates, rollouts
+from acgd.critics.transitions import Transitions, concatenate
+from acgd.experts.policy import Expert
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.registry import TASKS
+from acgd.tasks.seeds import SEEDS
+from acgd.tracking.progress import Progress
+
+VERSION = 1
+ENVIRONMENTS = 8
+"""Side by side in one process: enough to batch the expert, few enough to make."""
+VISITS_PER_BRANCH = 3
+"""States kept to come back to, for each one that is drawn from them."""
+
+
+def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
+    """{expert} -> critic.safetensors, critic.json, quality.json, within_state.csv."""
+    expert = Expert.load(inputs["expert"])
+    limit = TASKS[config.task.name].horizon
+    lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
+    data = _gathered(lock, expert, limit, config.critic, ctx.state / "transitions.safetensors", ctx.progress)
+    fitted = FittedQ(data, config.critic, expert.meta["gamma"], ctx.device)
+    _train(fitted, ctx)
+    critic = fitted.finish()
+    critic.meta = {
+        "task": config.task.name,
+        "gamma": expert.meta["gamma"],
+        "reward_weights": expert.meta["reward_weights"],
+        "simulator_steps": len(data),
+        "transitions_terminated": int(data.terminated.sum()),
+        "branched_states": len(fitted.groups),
+    }
+    critic.save(ctx.out)
+    found = quality.measure(critic, expert, lock, limit, config.critic, ctx.out / "within_state.csv", ctx.progress)
+    (ctx.out / "quality.json").write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+
+
+def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, progress: Progress) -> Transitions:
+    """Rollouts, then branches off states that they passed."""
+    branch = config.branches
+    with progress(config.steps, "critic: rollouts, steps") as bar:
+        data, visits, _ = rollouts(
+            lock, expert, config.perturbation, SEEDS.critic_fit, limit=limit, steps=config.steps,
+            visit_rate=min(1.0, VISITS_PER_BRANCH * branch.states / config.steps), seed=config.seed, bar=bar,
+        )
+    if not branch.states:
+        return data
+    if len(visits) < branch.states:
+        raise ValueError(f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states")
+    rng = np.random.default_rng([config.seed, 0])
+    chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
+    actions, _ = candidates(expert, chosen, branch.actions, rng)
+    with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
+        tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
+    return concatenate([data, tried])
+
+
+def _gathered(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, kept: Path, progress: Progress) -> Transitions:
+    """What `gather` returns, simulated once even if the stage is killed later."""
+    if not kept.exists():
+        draft = kept.with_suffix(".tmp")
+        gather(lock, expert, limit, config, progress).save(draft)
+        draft.replace(kept)
+    return Transitions.load(kept)
+
+
+def _train(fitted: FittedQ, ctx: Context) -> None:
+    """All updates, from the last checkpoint on."""
+    checkpoint, config = ctx.state / "fitted_q.safetensors", fitted.config
+    if checkpoint.exists():
+        fitted.resume(checkpoint)
+        ctx.metrics.rewind(fitted.step)
+    with ctx.progress(config.updates, "critic: fitted Q evaluation", done=fitted.step) as bar:
+        while fitted.step < config.updates:
+            told = fitted.update()
+            if told:
+                ctx.metrics.log(fitted.step, **told)
+            bar.update(1, **{name: told[name] for name in ("value_loss", "branch_loss") if name in told})
+            if fitted.step % config.checkpoint_every == 0 or fitted.step == config.updates:
+                ctx.metrics.flush()
+                fitted.save(checkpoint)

@@ -1,0 +1,157 @@
+"""Fitted Q evaluation: the ensemble regresses targets that it recomputes itself, with the expert frozen."""
+
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from acgd.config.critic import CriticConfig
+from acgd.critics.ensemble import Critic
+from acgd.critics.targets import Targets, targets
+from acgd.critics.transitions import ROLLOUT, Transitions
+
+ROWS_AT_ONCE = 8192
+STD_FLOOR = 1e-3
+"""Of a state's entry: below it the entry is taken for a constant."""
+
+
+class FittedQ:
+    """The state of the fit: critic, optimiser, targets, generator and the number of updates done.
+
+    Each of the `target_every` periods freezes Q_target and recomputes y for all transitions at once, which is
+    cheaper than one target network's pass per update, and the same method. Two regressions are summed, both in
+    standardised returns:
+    - (Q(s, a) - y)^2 over all transitions;
+    - (dQ - dy)^2 / (spread of y in the state)^2 over branched states, where d is the difference from the mean over
+      the actions tried in that state. The value of the state, which dominates the first, is not in the second.
+    """
+
+    def __init__(self, data: Transitions, config: CriticConfig, gamma: float, device: torch.device) -> None:
+        self.config, self.device, self.step = config, device, 0
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.targets = targets(data.reward, data.terminated, data.on_policy, data.ends, gamma, config.horizon)
+        self.targets = Targets(*(getattr(self.targets, name).to(device) for name in ("reward_sum", "discount", "bootstrap")))
+        self.state, self.action, self.next_state, self.next_action = (
+            torch.from_numpy(array).to(device) for array in (data.state, data.action, data.next_state, data.next_action)
+        )
+        self.used, self.slot = torch.unique(self.targets.bootstrap, return_inverse=True)
+        self.groups = branched_rows(data.branch, config.branches.actions).to(device)
+        """(G, K) rows of the first actions tried in each branched state."""
+        self.critic = Critic(data.state.shape[1], data.action.shape[1], config.members, config.width, config.depth, self.generator)
+        self.critic.to(device)
+        self._normalise(data, gamma)
+        self.optimiser = torch.optim.AdamW(self.critic.parameters(), config.lr, weight_decay=config.weight_decay, fused=True)
+        self.y = torch.empty(0)
+
+    def _normalise(self, data: Transitions, gamma: float) -> None:
+        """States by their mean and std over the data; returns by those of rewards continued at the last one's level."""
+        critic = self.critic
+        critic.state_mean.copy_(torch.from_numpy(data.state.mean(0)))
+        std = torch.from_numpy(data.state.std(0))
+        critic.state_std.copy_(torch.where(std > STD_FLOOR, std, torch.ones_like(std)))
+        last_reward = torch.from_numpy(data.reward).to(self.device)[self.targets.bootstrap]
+        returns = self.targets.reward_sum + self.targets.discount * last_reward / (1 - gamma)
+        critic.shift.copy_(returns.mean())
+        critic.scale.copy_(returns.std().clamp_min(1e-6))
+
+    def update(self) -> dict[str, float]:
+        """One gradient step; returns what is worth a curve, in standardised returns, every `target_every` updates."""
+        told = {}
+        if self.step % self.config.target_every == 0:
+            told = self.refresh()
+        config, critic = self.config, self.critic
+        for group in self.optimiser.param_groups:
+            group["lr"] = config.lr * 0.5 * (1 + math.cos(math.pi * self.step / config.updates))
+        rows = torch.randint(len(self.state), (config.batch,), generator=self.generator).to(self.device)
+        if len(self.groups) and config.within_state:
+            picked = torch.randint(len(self.groups), (config.branch_batch,), generator=self.generator).to(self.device)
+            rows = torch.cat([rows, self.groups[picked].flatten()])
+        error = critic.standard(self.state[rows], self.action[rows]) - self.y[:, rows]
+        value_loss = error.square().mean(1).sum()
+        loss = value_loss
+        if len(self.groups) and config.within_state:
+            inner = error[:, config.batch :].unflatten(1, (config.branch_batch, -1))
+            inner = (inner - inner.mean(2, keepdim=True)) / self.group_spread[:, picked, None]
+            branch_loss = inner.square().mean((1, 2)).sum()
+            loss = loss + config.within_state * branch_loss
+            if told:
+                told["branch_loss"] = float(branch_loss.detach()) / config.members
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
+        self.step += 1
+        if told:
+            told["value_loss"] = float(value_loss.detach()) / config.members
+        return told
+
+    @torch.no_grad()
+    def refresh(self) -> dict[str, float]:
+        """Q_target becomes Q, and y (M, N) is recomputed, in standardised returns."""
+        critic = self.critic
+        returns = self.returns()
+        y = (returns - critic.shift) / critic.scale
+        moved = float((y - self.y).square().mean().sqrt()) if self.y.numel() else float("nan")
+        self._adopt(y)
+        return {"target_shift": moved, "target_mean": float(returns.mean()), "target_std": float(returns.std())}
+
+    @torch.no_grad()
+    def returns(self) -> Tensor:
+        """y in reward units, (M, N), bootstrapped with the critic as it is."""
+        value = torch.cat(
+            [self.critic(self.next_state[rows], self.next_action[rows]) for rows in self.used.split(ROWS_AT_ONCE)], 1
+        )
+        return self.targets.reward_sum + self.targets.discount * value[:, self.slot]
+
+    def _adopt(self, y: Tensor) -> None:
+        self.y = y
+        spread = y[:, self.groups].std(2) if len(self.groups) else torch.zeros(len(y), 0, device=y.device)
+        # States in which the action hardly matters would otherwise teach their noise.
+        self.group_spread = spread + (spread.median(1, keepdim=True).values if spread.numel() else 0.0)
+
+    def finish(self) -> Critic:
+        """The fitted critic, with the spread of its targets over the data as the task's unit."""
+        self.critic.spread.copy_(self.returns().mean(0).std().clamp_min(1e-6))
+        return self.critic.eval()
+
+    # -- checkpoint --------------------------------------------------------------------------------
+
+    def save(self, path: Path) -> None:
+        """Everything that the next updates depend on, in one file, replaced atomically."""
+        tensors = {f"critic.{name}": value for name, value in self.critic.state_dict().items()}
+        for i, state in self.optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{i}.{name}": value for name, value in state.items()}
+        tensors |= {"y": self.y, "generator": self.generator.get_state()}
+        data = save({name: value.contiguous() for name, value in tensors.items()}, {"step": json.dumps(self.step)})
+        draft = path.with_suffix(".tmp")
+        with open(draft, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(draft, path)
+
+    def resume(self, path: Path) -> None:
+        """Goes on from what `save` wrote, to the same bytes as if never stopped."""
+        tensors = load_file(path)
+        self.critic.load_state_dict({name.removeprefix("critic."): value for name, value in tensors.items() if name.startswith("critic.")})
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, value in tensors.items():
+            if name.startswith("optimiser."):
+                _, i, entry = name.split(".")
+                state.setdefault(int(i), {})[entry] = value
+        self.optimiser.load_state_dict({"state": state, "param_groups": self.optimiser.state_dict()["param_groups"]})
+        self.generator.set_state(tensors["generator"])
+        self._adopt(tensors["y"].to(self.device))
+        self.step = round(float(state[0]["step"]))
+
+
+def branched_rows(branch: np.ndarray, actions: int) -> Tensor:
+    """(N,) numbers of branched states by row -> (G, K) rows; every branched state has K = `actions` of them."""
+    rows = np.flatnonzero(branch != ROLLOUT)
+    if len(rows) % actions:
+        raise ValueError(f"{len(rows)} branches do not make groups of {actions}: branch every state with the same number of actions")
+    return torch.from_numpy(rows.reshape(-1, actions))

@@ -1,0 +1,146 @@
+"""How far a critic can be trusted, on episodes that its fit has not seen. The headline is the ranking within one state.
+
+V(s) alone brings a high correlation with returns, and -|a - mu_E|^2 prefers the expert's action; only the order
+of different actions tried in one and the same state asks what the guidance of a student relies on.
+"""
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import stats
+
+from acgd.config.critic import CriticConfig
+from acgd.critics.ensemble import Critic
+from acgd.critics.gather import Visit, branches, candidates, rollouts
+from acgd.critics.transitions import Transitions
+from acgd.experts.policy import Expert
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+from acgd.tracking.progress import Progress
+
+VISIT_RATE = 0.25
+CONFIDENCE = 0.95
+
+
+def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: CriticConfig, table: Path, progress: Progress) -> dict:
+    """The content of quality.json; the pairs behind it go to `table` (within_state.csv).
+
+    Returns are of `tail` simulated steps, past the time limit if need be. What is cut off weighs gamma^tail and is
+    nearly the same for all candidates of a state, since the expert brings them together again.
+    """
+    quality, gamma = config.quality, expert.meta["gamma"]
+    noise = np.random.default_rng([config.seed, 1])
+    with progress(quality.states * limit, "quality: held-out rollouts, steps at most") as bar:
+        data, visits, kinds = rollouts(
+            lock, expert, config.perturbation, SEEDS.critic_quality, limit=limit, beyond=quality.tail,
+            episodes=quality.states, visit_rate=VISIT_RATE, seed=config.seed, bar=bar,
+        )
+    chosen = one_per_episode(visits, noise)
+    actions, sources = candidates(expert, chosen, quality.candidates, noise)
+    with progress(actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most") as bar:
+        tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
+    first = tried.starts
+    returns = discounted(tried, gamma)[first].reshape(actions.shape[:2])
+    q = _values(critic, tried.state[first], tried.action[first])
+    q_mean, q_std = q.mean(0).reshape(returns.shape), q.std(0).reshape(returns.shape)
+    correlation = rank_correlations(q_mean, returns)
+    _write(table, chosen, sources, q_mean, q_std, returns, correlation)
+    near = [k for k, source in enumerate(sources) if source != "uniform"]
+    spread = float(critic.spread)
+    return {
+        "bellman_error": bellman_error(critic, data, gamma),
+        "rank_correlation_monte_carlo": _monte_carlo(critic, data, kinds, limit, gamma),
+        "within_state": interval(correlation) | {"candidates": quality.candidates},
+        "within_state_near": interval(rank_correlations(q_mean[:, near], returns[:, near])) | {"candidates": len(near)},
+        "prefers_expert": _preferences(sources, q_mean, returns),
+        "gain_of_best_candidate": {
+            "critic": float((returns[np.arange(len(returns)), q_mean.argmax(1)] - returns[:, 0]).mean() / spread),
+            "simulator": float((returns.max(1) - returns[:, 0]).mean() / spread),
+        },
+        "spread": spread,
+        "tail": quality.tail,
+        "cut_off_weight": gamma**quality.tail,
+        "simulator_steps": len(data) + len(tried),
+    }
+
+
+def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit]:
+    """One visited state of each episode, so that the states are independent."""
+    by_episode: dict[int, list[Visit]] = {}
+    for visit in visits:
+        by_episode.setdefault(visit.episode, []).append(visit)
+    return [found[rng.integers(len(found))] for found in by_episode.values()]
+
+
+def discounted(data: Transitions, gamma: float) -> np.ndarray:
+    """(N,) float64, the discounted rewards from each row to the end of its episode."""
+    returns, last = np.zeros(len(data)), set((data.ends - 1).tolist())
+    following = 0.0
+    for t in range(len(data) - 1, -1, -1):
+        following = float(data.reward[t]) + (0.0 if t in last else gamma * following)
+        returns[t] = following
+    return returns
+
+
+def rank_correlations(q: np.ndarray, returns: np.ndarray) -> np.ndarray:
+    """Spearman's correlation over the candidates of each state, (V, K), (V, K) -> (V,); nan where all returns are equal."""
+    ranks = [stats.rankdata(values, axis=1) for values in (q, returns)]
+    x, y = (r - r.mean(1, keepdims=True) for r in ranks)
+    norm = np.sqrt((x**2).sum(1) * (y**2).sum(1))
+    return np.divide((x * y).sum(1), norm, out=np.full(len(q), np.nan), where=norm > 0)
+
+
+def interval(values: np.ndarray) -> dict[str, float | int]:
+    """Mean over states and its 95% interval by Student's t; states without an order of returns are left out."""
+    values = values[~np.isnan(values)]
+    if len(values) < 2:
+        raise ValueError("fewer than two states tell their candidate actions apart: raise critic.quality.states")
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
+    return {"mean": float(values.mean()), "low": float(values.mean()) - half, "high": float(values.mean()) + half, "states": len(values)}
+
+
+def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
+    """Root mean square of Q(s, a) - r - gamma (1 - terminated) Q(s', pi_E(s')), over the std of that target."""
+    target = data.reward + gamma * ~data.terminated * _values(critic, data.next_state, data.next_action).mean(0)
+    error = _values(critic, data.state, data.action).mean(0) - target
+    return float(np.sqrt((error**2).mean()) / target.std())
+
+
+def _monte_carlo(critic: Critic, data: Transitions, kinds: list, limit: int, gamma: float) -> float:
+    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit."""
+    returns = discounted(data, gamma)
+    rows = np.concatenate(
+        [np.arange(start, min(end, start + limit)) for start, end, (name, _) in zip(data.starts, data.ends, kinds) if name == "clean"]
+    )
+    q = _values(critic, data.state[rows], data.action[rows]).mean(0)
+    return float(stats.spearmanr(q, returns[rows]).statistic)
+
+
+def _preferences(sources: list[str], q: np.ndarray, returns: np.ndarray) -> dict[str, dict[str, float]]:
+    """By source of the candidate: how often the expert's mean is better than it, to the critic and in the simulator."""
+    found = {}
+    for source in dict.fromkeys(sources[1:]):
+        columns = [k for k, name in enumerate(sources) if name == source]
+        found[source] = {"critic": float((q[:, :1] > q[:, columns]).mean()), "simulator": float((returns[:, :1] > returns[:, columns]).mean())}
+    return found
+
+
+@torch.no_grad()
+def _values(critic: Critic, state: np.ndarray, action: np.ndarray) -> np.ndarray:
+    """(N, S), (N, A) -> (M, N) in reward units."""
+    device = critic.spread.device
+    return critic(torch.from_numpy(state).to(device), torch.from_numpy(action).to(device)).cpu().numpy()
+
+
+def _write(table: Path, visits: list[Visit], sources: list[str], q, q_std, returns, correlation) -> None:
+    """One row per state and candidate; Q and returns in reward units."""
+    with open(table, "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["state", "perturbation", "scale", "candidate", "source", "q", "q_std", "return", "rank_correlation"])
+        for v, visit in enumerate(visits):
+            for k, source in enumerate(sources):
+                figures = (q[v, k], q_std[v, k], returns[v, k], correlation[v])
+                writer.writerow([v, *visit.kind, k, source, *(f"{float(figure):.6g}" for figure in figures)])
