@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,12 @@ class Camera:
     elevation: float
     """Degrees; -90 looks straight down."""
 
+    def direction(self, turned: float = 0.0, raised: float = 0.0) -> np.ndarray:
+        """Unit vector (3,) of sight, or of light from `turned` degrees to the right and `raised` above."""
+        azimuth, elevation = np.deg2rad([self.azimuth + turned, self.elevation - raised])
+        flat = np.cos(elevation)
+        return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+
     def build(self) -> mujoco.MjvCamera:
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -27,10 +34,10 @@ class Camera:
 
 
 CAMERAS: dict[str, Camera] = {
-    "key-turn": Camera((-0.18, -0.54, 1.43), 0.36, 150.0, -35.0),
-    "obj-hold": Camera((-0.23, -0.53, 1.43), 0.36, 150.0, -35.0),
-    "pen-twirl": Camera((-0.13, -0.52, 1.42), 0.50, 90.0, -35.0),
-    "pose": Camera((-0.18, -0.53, 1.44), 0.34, 150.0, -35.0),
-    "reach": Camera((-0.18, -0.53, 1.44), 0.34, 150.0, -35.0),
+    "key-turn": Camera((-0.16, -0.565, 1.41), 0.29, 120.0, -45.0),
+    "obj-hold": Camera((-0.23, -0.53, 1.43), 0.26, 130.0, -50.0),
+    "pen-twirl": Camera((-0.135, -0.53, 1.40), 0.46, 90.0, -50.0),
+    "pose": Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0),
+    "reach": Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0),
 }
 """By task kind."""

@@ -2,7 +2,10 @@
 
 The backend is MUJOCO_GL (`egl`, `osmesa`, `glfw`), as everywhere in MuJoCo; unset, it is EGL on Linux, which
 needs neither a display nor a GPU. The backend is loaded here, at the first picture, and not by `import mujoco`,
-which fixes its own choice at import and falls back on a window system. No environment variable is changed.
+which fixes its own choice at import and falls back on a window system.
+
+Mesa's software renderer shares a picture out over all cores; for small pictures that costs more than it gains
+(three times more where another process keeps the cores busy), so LP_NUM_THREADS is 0 here unless it is set.
 """
 
 import functools
@@ -24,7 +27,7 @@ def backend() -> str:
     if not wanted:
         return "egl" if sys.platform.startswith("linux") else "glfw"
     if wanted not in _BACKENDS:
-        raise GraphicsError(_explain(f"MUJOCO_GL={wanted} is no offscreen OpenGL backend"))
+        raise GraphicsError(explain(f"MUJOCO_GL={wanted} is no offscreen OpenGL backend"))
     return wanted
 
 
@@ -36,17 +39,19 @@ def context():
     framebuffer. It belongs to the thread that draws.
     """
     name = backend()
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     # Backends fail in many ways: a missing library is an AttributeError deep in PyOpenGL, a missing driver an
     # ImportError or an EGLError. Whatever it was, the mend is the same.
     try:
         made = importlib.import_module(f"mujoco.{name}").GLContext(64, 64)
         made.make_current()
     except Exception as error:
-        raise GraphicsError(_explain(f"the OpenGL backend '{name}' does not start: {error}")) from error
+        raise GraphicsError(explain(f"the OpenGL backend '{name}' does not start: {error}")) from error
     return made
 
 
-def _explain(what: str) -> str:
+def explain(what: str) -> str:
+    """What is wrong, and what to do about it."""
     return (
         f"Cannot draw images: {what}. On Debian or Ubuntu install Mesa's software renderer "
         f"({INSTALL}), or choose another backend by setting MUJOCO_GL=egl or MUJOCO_GL=osmesa "

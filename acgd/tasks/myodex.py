@@ -75,7 +75,7 @@ class MyoDexTask(gymnasium.Env):
         image: bool = True,
         reward_weights: dict[str, float] | None = None,
     ) -> None:
-        self.spec, self.config = spec, config
+        self.task, self.config = spec, config
         self.base = _make_base(spec.gym_id)
         self.render_mode = "rgb_array"
         self.model, self.data = self.base.model, self.base.data
@@ -128,7 +128,7 @@ class MyoDexTask(gymnasium.Env):
         self.base.reset(seed=seed)
         if self.config.start == "perturbed":
             rng = np.random.default_rng([seed, 1])
-            starts.perturb(self.spec.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
+            starts.perturb(self.task.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
@@ -139,7 +139,7 @@ class MyoDexTask(gymnasium.Env):
         terminated = terminated or self.base._check_mj_instability_termination()
         self.steps += 1
         self.success.update(bool(info["solved"]))
-        truncated = self.steps >= self.spec.horizon and not terminated and not self.ignore_time_limit
+        truncated = self.steps >= self.task.horizon and not terminated and not self.ignore_time_limit
         terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.reward_weights}
         out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
         return self._observe(), reward, terminated, truncated, out
@@ -148,8 +148,8 @@ class MyoDexTask(gymnasium.Env):
         """The current state; `restore` continues from it bit for bit."""
         integration = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, integration, _STATE)
-        fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[self.spec.kind]}
-        if self.spec.kind == "pose":
+        fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[self.task.kind]}
+        if self.task.kind == "pose":
             fields["target_angles"] = np.asarray(self.base.target_jnt_value, np.float64).copy()
         return Snapshot(integration, fields, self.steps, self.success.solved_steps, self.success.last)
 
@@ -177,7 +177,7 @@ class MyoDexTask(gymnasium.Env):
             from acgd.tasks.cameras import CAMERAS
             from acgd.tasks.rendering import Renderer
 
-            camera = CAMERAS[self.spec.kind]
+            camera = CAMERAS[self.task.kind]
             self._renderer = Renderer(self.model, camera=camera, size=self.config.image_size)
         return self._renderer.render(self.data)
 
@@ -197,7 +197,7 @@ class MyoDexTask(gymnasium.Env):
             "hand_qvel": data.qvel[self._hand_qvel] * step,
             "act": data.act.copy(),
         }
-        return entries | _ENTRIES[self.spec.kind](self.base, data, step)
+        return entries | _ENTRIES[self.task.kind](self.base, data, step)
 
 
 def _key_entries(base, data, step: float) -> dict[str, np.ndarray]:

@@ -1,9 +1,9 @@
-"""Frugal offscreen pictures of a simulation: about a thousandth of the triangles' cost, none of its physics.
+"""Frugal offscreen pictures of a simulation, which they leave untouched.
 
-MuJoCo's defaults take 120-370 ms for an 84 px picture of these models on a software renderer. Nearly all of
-it is vertices nobody can see (178,021 faces of bones, room and logo), multisampling, shadows and tendons. Here
-the physics model and data are read as they are, so that whatever a reset wrote into the model shows; but the meshes
-that the graphics card holds come from a copy of the model in which they were decimated.
+MuJoCo's defaults take 120 to 370 ms for an 84 px picture of a MyoSuite hand on a software renderer: nearly
+all of it goes into vertices that nobody can see (178,021 faces of bones, room and logo), multisampling, shadows
+and tendons. Here a scene is made from the physics model as it is, so that whatever a reset wrote
+into the model shows, and drawn with the meshes of a copy in which they have a few faces each.
 """
 
 import atexit
@@ -16,13 +16,13 @@ from acgd.tasks import gl
 from acgd.tasks.cameras import Camera
 from acgd.tasks.meshes import decimated
 
-FACES_PER_MESH = 128
+FACES_PER_MESH = 96
 """At 84 px a bone covers a few dozen pixels; more faces than that do not show."""
+ROUND = 12, 6
+"""Slices and stacks of spheres, ellipsoids and cylinders, which are meshes to OpenGL as well."""
 _SHOWN = 0
 """The group of bones, objects and goal markers; rooms, wrapping surfaces, skins and muscle sites are in others."""
 _CATEGORIES = mujoco.mjtCatBit.mjCAT_STATIC | mujoco.mjtCatBit.mjCAT_DYNAMIC
-_LIGHT = {"dir": (0.3, 0.45, -0.84), "ambient": (0.35,) * 3, "diffuse": (0.65,) * 3, "specular": (0.15,) * 3}
-"""One sun for all tasks: the models disagree on lamps, and each lamp costs."""
 
 
 class Renderer:
@@ -32,6 +32,7 @@ class Renderer:
         self.size = size
         self._model = model
         self._camera = camera.build()
+        self._sun = camera.direction(turned=20.0, raised=25.0)
         self._viewport = mujoco.MjrRect(0, 0, size, size)
         self._buffer = np.empty((size, size, 3), np.uint8)
         self._option = _options()
@@ -44,12 +45,21 @@ class Renderer:
         """The picture (size, size, 3) uint8 of `data`, which is only read; its kinematics must be up to date."""
         scene = self._scene
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, _CATEGORIES, scene)
-        _light(scene)
+        self._light()
         with gl.context().as_current():
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._target)
             mujoco.mjr_render(self._viewport, scene, self._target)
             mujoco.mjr_readPixels(self._buffer, None, self._viewport, self._target)
         return self._buffer[::-1].copy()  # OpenGL's first row is the lowest
+
+    def _light(self) -> None:
+        """One sun behind the camera's shoulder: the models disagree on lamps, and each lamp costs."""
+        self._scene.nlight = 1
+        light = self._scene.lights[0]
+        light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        light.headlight = light.castshadow = 0
+        light.dir = self._sun
+        light.ambient, light.diffuse, light.specular = (0.4,) * 3, (0.6,) * 3, (0.1,) * 3
 
 
 def _options() -> mujoco.MjvOption:
@@ -60,15 +70,6 @@ def _options() -> mujoco.MjvOption:
         groups[:] = 0
         groups[_SHOWN] = 1
     return option
-
-
-def _light(scene: mujoco.MjvScene) -> None:
-    scene.nlight = 1
-    light = scene.lights[0]
-    light.headlight, light.castshadow = 0, 0
-    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    light.dir, light.ambient = _LIGHT["dir"], _LIGHT["ambient"]
-    light.diffuse, light.specular = _LIGHT["diffuse"], _LIGHT["specular"]
 
 
 _TARGETS: dict[tuple[str, int], mujoco.MjrContext] = {}
@@ -88,16 +89,21 @@ def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
         small = decimated(model, drawn, FACES_PER_MESH)
         quality, window = small.vis.quality, small.vis.global_
         quality.offsamples = quality.shadowsize = 0
-        quality.numslices, quality.numstacks, quality.numquads = 16, 10, 1  # spheres, capsules, planes
+        quality.numslices, quality.numstacks = ROUND
         window.offwidth = window.offheight = size
         with gl.context().as_current():
-            _TARGETS[key] = mujoco.MjrContext(small, mujoco.mjtFontScale.mjFONTSCALE_50)
+            try:
+                made = mujoco.MjrContext(small, mujoco.mjtFontScale.mjFONTSCALE_50)
+            except mujoco.FatalError as error:
+                raise gl.GraphicsError(gl.explain(f"this OpenGL is too old ({error})")) from error
+        if not _TARGETS:
+            atexit.register(_free)
+        _TARGETS[key] = made
     return _TARGETS[key]
 
 
-@atexit.register
 def _free() -> None:
-    """OpenGL wants its objects freed before the context that they live in."""
-    while _TARGETS:
-        with gl.context().as_current():
+    """OpenGL objects go before their context, whose own exit handler is older and so runs after this one."""
+    with gl.context().as_current():
+        while _TARGETS:
             _TARGETS.popitem()[1].free()

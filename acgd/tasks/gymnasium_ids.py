@@ -1,0 +1,16 @@
+"""Gymnasium names of the tasks: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
+
+Importing this module registers them.
+"""
+
+import gymnasium
+
+from acgd.tasks import registry
+
+for _spec in registry.TASKS.values():
+    gymnasium.register(
+        id=f"acgd/{_spec.slug}-v0",
+        entry_point="acgd.tasks.registry:make",
+        kwargs={"task": _spec.name},
+        disable_env_checker=True,
+    )

@@ -1,0 +1,178 @@
+"""Contracts of every task in the registry."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pydantic import ValidationError
+
+from acgd.config.task import TaskConfig
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+from acgd.tasks.success import SuccessCounter
+
+TASKS = list(registry.TASKS)
+
+
+@pytest.fixture(scope="module")
+def envs():
+    """One state-only environment a task."""
+    return {name: registry.make(name, image=False) for name in TASKS}
+
+
+def actions(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (n, 39)).astype(np.float32)
+
+
+def run(env, moves) -> np.ndarray:
+    return np.array([env.step(a)[0]["state"] for a in moves])
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_gymnasium_checker(name):
+    env = gymnasium.make(f"acgd.tasks.gymnasium_ids:acgd/{registry.TASKS[name].slug}-v0").unwrapped
+    assert set(env.observation_space) == {"image", "proprio", "state"}
+    check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_same_seed_same_episode(envs, name):
+    env = envs[name]
+    first = env.reset(seed=5)[0]["state"]
+    a = run(env, actions(8))
+    env.reset(seed=6)
+    run(env, actions(3, seed=1))
+    again = env.reset(seed=5)[0]["state"]
+    assert np.array_equal(first, again)
+    assert np.array_equal(a, run(env, actions(8)))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_starts_differ_by_seed_in_hand_object_and_goal(envs, name):
+    env = envs[name]
+    layout, starts = env.state_layout, np.array([env.reset(seed=s)[0]["state"] for s in range(4)])
+    assert (starts[:, layout["hand_qpos"]].std(0) > 0).sum() > 10
+    for entry in env.task.privileged:
+        assert (starts[:, layout[entry]].std(0) > 1e-5).any(), f"{entry} is the same for every seed"
+
+
+@pytest.mark.parametrize("name", [n for n in TASKS if not n.endswith("-hard")])
+def test_nominal_start_of_fixed_tasks_is_one_state(name):
+    env = registry.make(TaskConfig(name=name, start="nominal"), image=False)
+    assert np.array_equal(env.reset(seed=1)[0]["state"], env.reset(seed=2)[0]["state"])
+
+
+def test_perturbation_does_not_outlive_its_episode():
+    perturbed, nominal = registry.make("myo/obj-hold", image=False), TaskConfig(name="myo/obj-hold", start="nominal")
+    goals = {s: perturbed.reset(seed=s)[0]["state"][perturbed.state_layout["goal_pos"]] for s in (1, 2, 3)}
+    centre = registry.make(nominal, image=False)
+    middle = centre.reset(seed=0)[0]["state"][centre.state_layout["goal_pos"]]
+    for _ in range(50):
+        perturbed.reset(seed=9)
+    assert np.array_equal(perturbed.reset(seed=1)[0]["state"][perturbed.state_layout["goal_pos"]], goals[1])
+    assert all(np.abs(goal - middle).max() <= 0.0101 for goal in goals.values())
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_snapshot_continues_bit_for_bit_in_another_environment(envs, name):
+    env, other = envs[name], registry.make(name, image=False)
+    env.reset(seed=7)
+    run(env, actions(5))
+    snapshot = env.snapshot()
+    ahead = run(env, actions(10, seed=2))
+    other.reset(seed=99)
+    other.restore(snapshot)
+    assert other.steps == 5
+    assert np.array_equal(ahead, run(other, actions(10, seed=2)))
+    env.restore(snapshot)
+    assert np.array_equal(ahead, run(env, actions(10, seed=2)))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_proprio_knows_neither_object_nor_goal(envs, name):
+    """Two starts with the same hand and another object and goal look the same to proprio."""
+    env = envs[name]
+    a, b = env.reset(seed=1)[0], env.reset(seed=2)[0]
+    assert not np.array_equal(a["state"], b["state"])
+    hand = env.data.qpos[env._hand_qpos].copy()
+    env.reset(seed=1)
+    env.data.qpos[env._hand_qpos] = hand
+    import mujoco
+
+    mujoco.mj_forward(env.model, env.data)
+    mixed = env._observe()
+    assert np.array_equal(mixed["proprio"], b["proprio"])
+    assert not np.array_equal(mixed["state"], b["state"])
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_time_limit_truncates_and_can_be_ignored(envs, name):
+    env = envs[name]
+    env.reset(seed=0)
+    env.steps = env.task.horizon - 1
+    _, _, terminated, truncated, _ = env.step(np.zeros(39))
+    assert truncated != terminated
+    env.reset(seed=0)
+    env.ignore_time_limit, env.steps = True, env.task.horizon - 1
+    assert env.step(np.zeros(39))[3] is False
+    env.ignore_time_limit = False
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_reward_is_the_weighted_sum_of_its_terms(envs, name):
+    env = envs[name]
+    env.reset(seed=0)
+    _, reward, _, _, info = env.step(actions(1)[0])
+    assert reward == pytest.approx(sum(env.reward_weights[k] * v for k, v in info["reward_terms"].items()), rel=1e-6)
+
+
+def test_reward_weights_change_the_reward_and_unknown_terms_are_named():
+    plain, heavy = registry.make("myo/reach", image=False), registry.make("myo/reach", image=False, reward_weights={"reach": 20})
+    plain.reset(seed=0), heavy.reset(seed=0)
+    a, b = plain.step(np.zeros(39)), heavy.step(np.zeros(39))
+    assert b[1] - a[1] == pytest.approx(19 * a[4]["reward_terms"]["reach"], rel=1e-6)
+    with pytest.raises(ValueError, match="raech.*bonus.*penalty.*reach"):
+        registry.make("myo/reach", image=False, reward_weights={"raech": 1})
+
+
+def test_success_is_counted_three_ways():
+    counter = SuccessCounter()
+    for solved in [True] * 6 + [False]:
+        counter.update(solved)
+    assert counter.outcome() == {"final": False, "held": True, "once": True}
+    counter = SuccessCounter()
+    for solved in [False] * 6 + [True]:
+        counter.update(solved)
+    assert counter.outcome() == {"final": True, "held": False, "once": True}
+
+
+def test_lockstep_equals_one_after_the_other(envs):
+    lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image=False)
+    moves = actions(60)
+    lock.reset([1, 2, 3])
+    for move in moves:
+        if not lock.active.any():
+            break
+        obs, _, _, _ = lock.step(np.tile(move, (3, 1)))
+    for i, seed in enumerate([1, 2, 3]):
+        env = envs["myo/pen-twirl"]
+        env.reset(seed=seed)
+        for move in moves:
+            last, _, terminated, truncated, _ = env.step(move)
+            if terminated or truncated:
+                break
+        assert np.array_equal(last["state"], obs["state"][i])
+
+
+def test_seed_ranges_are_disjoint_and_say_when_they_end():
+    ranges = sorted(vars(SEEDS).values(), key=lambda r: r.start)
+    assert len(ranges) == 7
+    assert all(a.stop <= b.start for a, b in zip(ranges, ranges[1:]))
+    with pytest.raises(ValueError, match="validation"):
+        SEEDS.validation.take(10**9)
+
+
+def test_unknown_task_names_the_nearest():
+    with pytest.raises(ValidationError, match="myo/key-turn"):
+        TaskConfig(name="myo/key-trun")
