@@ -1,0 +1,20 @@
+"""Muscle excitation: what MyoSuite makes of an action before it reaches the muscles."""
+
+from torch import Tensor
+
+_LOW = 1 / (1 + 2.718281828459045**7.5)
+_HIGH = 1 / (1 + 2.718281828459045**-2.5)
+
+
+def excitation(action: Tensor) -> Tensor:
+    """u = 1 / (1 + exp(-5 (a - 0.5))), stretched so that the box [-1, 1] maps onto itself.
+
+    Half of the action range maps to u <= 0.076: there, large differences between actions mean next to nothing.
+    """
+    u = (5 * (action - 0.5)).sigmoid()
+    return 2 * (u - _LOW) / (_HIGH - _LOW) - 1
+
+
+def measured(action: Tensor, space: str) -> Tensor:
+    """Actions in the space `raw` or `excitation`, in which they are encoded and compared."""
+    return excitation(action) if space == "excitation" else action

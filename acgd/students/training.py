@@ -1,0 +1,104 @@
+"""The optimisation loop of both stages: schedule, clipping, validation, best weights, checkpoints."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from acgd.artifacts.stage import Context
+from acgd.config.student import TrainingConfig
+from acgd.students import checkpoint
+
+Step = Callable[[int, bool], tuple[Tensor, dict[str, float]]]
+"""(step, whether it is logged) -> the loss, and what to log of it."""
+
+
+@dataclass
+class Best:
+    """The weights of the least validation loss so far."""
+
+    loss: float = math.inf
+    step: int = 0
+    weights: dict[str, Tensor] = field(default_factory=dict)
+
+
+def learning_rate(step: int, config: TrainingConfig) -> float:
+    """Linear warm-up, then constant or half a cosine down to a hundredth of the peak."""
+    warm = min(1.0, (step + 1) / (config.warmup + 1))
+    if config.schedule == "constant":
+        return config.learning_rate * warm
+    done = max(0, step - config.warmup) / max(1, config.steps - config.warmup)
+    return config.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done)))
+
+
+def adamw(model: nn.Module, config: TrainingConfig) -> torch.optim.AdamW:
+    """AdamW on whatever is trainable; weight decay on matrices alone."""
+    trained = [p for p in model.parameters() if p.requires_grad]
+    groups = [
+        {"params": [p for p in trained if p.ndim >= 2], "weight_decay": config.weight_decay},
+        {"params": [p for p in trained if p.ndim < 2], "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=config.learning_rate, fused=True)
+
+
+def train(
+    model: nn.Module,
+    step_loss: Step,
+    validate: Callable[[], dict[str, float]],
+    config: TrainingConfig,
+    generators: checkpoint.Generators,
+    tally: dict[str, float],
+    ctx: Context,
+    what: str,
+) -> Best:
+    """Trains in place and returns the best weights; those of the last step are in the model.
+
+    `validate` returns at least `validation_loss`. `generators` are the only sources of randomness and `tally` whatever
+    `step_loss` accumulates: all are checkpointed, so that a resumed run equals an uninterrupted one bit for bit.
+    """
+    optimiser = adamw(model, config)
+    trained = [p for group in optimiser.param_groups for p in group["params"]]
+    best, start = Best(), 0
+    saved = checkpoint.load(ctx.state)
+    if saved is not None:
+        tensors, notes = saved
+        checkpoint.restore(tensors, model, optimiser, generators)
+        best = Best(notes["best_loss"], notes["best_step"], checkpoint.under(tensors, "best."))
+        start = notes["step"]
+        tally.clear()
+        tally.update(notes["tally"])
+    ctx.metrics.rewind(start)
+
+    with ctx.progress(config.steps, what, done=start) as bar:
+        for step in range(start, config.steps):
+            done = step + 1
+            logged = done % config.log_every == 0 or done == config.steps
+            for group in optimiser.param_groups:
+                group["lr"] = learning_rate(step, config)
+            with torch.autocast(ctx.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+                loss, row = step_loss(step, logged)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = nn.utils.clip_grad_norm_(trained, config.clip_norm, foreach=True)
+            optimiser.step()
+
+            if logged:
+                if not math.isfinite(loss.item()):
+                    raise FloatingPointError(f"{what}: the loss is {loss.item()} at step {done}; lower training.learning_rate or training.clip_norm")
+                row = {**row, "loss": loss.item(), "gradient_norm": norm.item(), "learning_rate": learning_rate(step, config)}
+            if done % config.validate_every == 0 or done == config.steps:
+                scores = validate()
+                row = {**row, **scores}
+                if scores["validation_loss"] < best.loss:
+                    best = Best(scores["validation_loss"], done, {name: value.clone() for name, value in model.state_dict().items()})
+            if row:
+                ctx.metrics.log(done, **row)
+            if done % config.checkpoint_every == 0 and done < config.steps:
+                ctx.metrics.flush()
+                state = checkpoint.training_state(model, optimiser, generators)
+                state |= {f"best.{name}": value for name, value in best.weights.items()}
+                checkpoint.save(ctx.state, state, {"step": done, "best_loss": best.loss, "best_step": best.step, "tally": tally})
+            bar.update(1)
+    return best

@@ -1,0 +1,83 @@
+"""Small made-up demonstrations, features and critics as published artifacts, for tests and benchmarks of the students."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from acgd.artifacts.stage import Context
+from acgd.config.student import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
+from acgd.config.task import TaskConfig
+from acgd.config.vision import BackboneConfig
+from acgd.critics.ensemble import Critic
+from acgd.rollouts.store import write_group
+from acgd.tracking.metrics import Metrics
+from acgd.tracking.progress import Progress
+
+TASKS = ("myo/reach", "myo/obj-hold")
+P, A, F = 7, 5, 6
+
+
+def rollouts(directory: Path, task: int, episodes: int = 10, length: int = 20, state: int = 9, images: bool = False, seed: int = 0) -> Path:
+    """Episodes of unequal length. proprio[0] is t / 10, features[0] the sine of an angle that only the image shows."""
+    rng = np.random.default_rng([seed, task])
+    lengths = length - np.arange(episodes) % 4
+    ends = np.cumsum(lengths)
+    t = np.concatenate([np.arange(n) for n in lengths])
+    angle = np.repeat(rng.uniform(-1, 1, episodes), lengths)
+    proprio = rng.normal(size=(len(t), P)).astype(np.float32) * 0.1
+    proprio[:, 0] = t / 10
+    mean = np.stack([0.8 * np.sin(0.4 * t + j + angle + task) for j in range(A)], -1).astype(np.float32)
+    arrays = {
+        "proprio": proprio,
+        "state": rng.normal(size=(len(t), state)).astype(np.float32),
+        "mean_action": mean,
+        "action": np.clip(mean + 0.1 * rng.normal(size=mean.shape), -1, 1).astype(np.float32),
+        "episode_ends": ends.astype(np.int64),
+        "seed": np.arange(episodes, dtype=np.int64),
+    }
+    if images:
+        arrays["image"] = rng.integers(0, 256, (len(t), 32, 32, 3), dtype=np.uint8)
+        arrays["final_image"] = rng.integers(0, 256, (episodes, 32, 32, 3), dtype=np.uint8)
+    write_group(directory / "rollouts.zarr", arrays, {"reward_terms": []})
+    features = rng.normal(size=(len(t), F)).astype(np.float32) * 0.1
+    features[:, 0] = angle
+    final = rng.normal(size=(episodes, F)).astype(np.float32)
+    write_group(directory / "features.zarr", {"image": features, "final_image": final}, {})
+    return directory
+
+
+def critic(directory: Path, state: int, actions: int = A, low: float = 0.5, members: int = 2, width: int = 32, seed: int = 0) -> Path:
+    """An untrained critic with a quality.json; `low` is the low end of its within-state rank interval."""
+    directory.mkdir(parents=True)
+    made = Critic(state, actions, members, width, generator=torch.Generator().manual_seed(seed))
+    made.spread.fill_(0.5)
+    made.save(directory)
+    (directory / "quality.json").write_text(f'{{"within_state": {{"low": {low}}}}}')
+    return directory
+
+
+def codebook_request(seed: int = 0, backbone: str = "privileged", training: dict | None = None, **fields) -> CodebookRequest:
+    """A tiny codebook on two tasks."""
+    small = {"chunk": 4, "history": 3, "groups": 2, "codes": 8, "width": 32, "heads": 2, "encoder_layers": 1, "decoder_layers": 1}
+    codebook = CodebookConfig(**small | fields, training=_training(training))
+    return CodebookRequest(tasks=[TaskConfig(name=name) for name in TASKS], codebook=codebook, backbone=BackboneConfig(kind=backbone, dim=8), seed=seed)
+
+
+def student_request(codebook: CodebookRequest, training: dict | None = None, **fields) -> StudentRequest:
+    """A tiny student on that codebook."""
+    student = StudentConfig(**fields, training=_training(training))
+    return StudentRequest(tasks=codebook.tasks, codebook=codebook.codebook, student=student, backbone=codebook.backbone, seed=codebook.seed)
+
+
+def context(directory: Path) -> Context:
+    """A context that writes below `directory`, its progress unseen."""
+    out, state = directory / "out", directory / "state"
+    out.mkdir(parents=True, exist_ok=True)
+    state.mkdir(exist_ok=True)
+    return Context(out, state, Metrics(out / "metrics.jsonl"), Progress(open("/dev/null", "w")), torch.device("cpu"))
+
+
+def _training(fields: dict | None) -> TrainingConfig:
+    small = {"steps": 6, "batch": 16, "warmup": 2, "validate_every": 2, "log_every": 2, "checkpoint_every": 3}
+    return TrainingConfig(**small | (fields or {}))
