@@ -1,0 +1,193 @@
+"""From YAML to a validated study, and from what is wrong with it to one line that names the mend."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+_EXPECTED = {
+    "int_parsing": "should be a whole number",
+    "int_type": "should be a whole number",
+    "int_from_float": "should be a whole number",
+    "float_parsing": "should be a number",
+    "float_type": "should be a number",
+    "bool_parsing": "should be true or false",
+    "bool_type": "should be true or false",
+    "string_type": "should be a text",
+    "tuple_type": "should be a list",
+    "list_type": "should be a list",
+    "dict_type": "should be a map",
+    "model_type": "should be a map of settings",
+}
+"""Fault of pydantic -> what to say instead of its own words."""
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used. The text is meant for the user as it stands."""
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The map in a configuration file."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        near = difflib.get_close_matches(path.name, [file.name for file in path.parent.glob("*.yaml")], n=1, cutoff=0.4)
+        raise ConfigError(f"{path}: no such file." + (f" Nearest: {path.parent / near[0]}." if near else " Give the path of a study.")) from None
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise ConfigError(f"{path}: not readable as YAML. {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: holds {_kind(content)} instead of a map of settings; start from config.yaml.")
+    return content
+
+
+def validated(model: type[Model], content: Any, prefix: Sequence[str | int] = (), root: type[BaseModel] | None = None) -> Model:
+    """`content` as the model, or a ConfigError with one line for each fault.
+
+    `prefix` is where `content` stands in the configuration; `root` is the model of the whole configuration, in which a
+    misplaced key is looked for.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        inner = {fault["loc"][:-1] for fault in faults}
+        lines = [_explain(model, root or model, dict(fault), prefix) for fault in faults if not _follows(fault, inner)]
+        raise ConfigError("\n".join(dict.fromkeys(lines))) from None
+
+
+def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
+    """Maps are merged key by key; everything else, lists included, is replaced."""
+    merged = dict(base)
+    for name, value in override.items():
+        both_maps = isinstance(value, Mapping) and isinstance(merged.get(name), Mapping)
+        merged[name] = merge(merged[name], value) if both_maps else value
+    return merged
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that looks most like `name`, if any does."""
+    known = list(known)
+    for candidate in known:
+        if _initials(name, candidate):
+            return candidate
+    contained = [candidate for candidate in known if len(name) > 2 and (name in candidate or candidate in name)]
+    found = difflib.get_close_matches(name, known, n=1, cutoff=0.6) or contained or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    return found[0] if found else None
+
+
+def _initials(name: str, candidate: str) -> bool:
+    """lr is learning_rate."""
+    return "_" in candidate and name == "".join(word[:1] for word in candidate.split("_"))
+
+
+def dotted(place: Sequence[str | int]) -> str:
+    """("student", "lr") -> "student.lr"; ("tasks", 0) -> "tasks[0]"."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".") or "the configuration"
+
+
+def _follows(fault: Mapping[str, Any], inner: Iterable[tuple[str | int, ...]]) -> bool:
+    """A list of which an item is wrong counts as too short: say only what is wrong with the item."""
+    place = fault["loc"]
+    return fault["type"] == "too_short" and any(other[: len(place)] == place for other in inner)
+
+
+def _explain(model: type[BaseModel], root: type[BaseModel], fault: dict[str, Any], prefix: Sequence[str | int]) -> str:
+    place = [part for part in fault["loc"] if not (isinstance(part, str) and "[" in part)]
+    where = dotted([*prefix, *place])
+    if fault["type"] == "extra_forbidden":
+        return f"{where}: unknown key. {_mend_unknown(model, root, place)}"
+    if fault["type"] == "missing":
+        return f"{where}: missing. Add it{_described(model, place)}."
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "value_error":
+        return f"{where}: {message}"
+    given = fault.get("input")
+    if fault["type"] == "literal_error":
+        choices = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
+        near = nearest(str(given), choices)
+        return f"{where}: {given!r} is none of {', '.join(choices)}." + (f" Nearest: {near}." if near else "")
+    expected = _EXPECTED.get(fault["type"]) or _lower(message)
+    return f"{where}: {expected}, not {_shown(given)}. Mend it, or leave the key out{_default(model, place)}."
+
+
+def _mend_unknown(model: type[BaseModel], root: type[BaseModel], place: Sequence[str | int]) -> str:
+    name = str(place[-1])
+    section = _model_at(model, place[:-1])
+    known = list(section.model_fields) if section else []
+    near = nearest(name, known)
+    elsewhere = [dotted(path) for path in _places(root) if path[-1] == name]
+    if elsewhere and (near is None or difflib.SequenceMatcher(None, name, near).ratio() < 0.8 and not _initials(name, near)):
+        return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
+    if near:
+        return f"Nearest: {near}. Rename it, or remove it."
+    return f"Known here: {', '.join(known)}. Use one of them, or remove it."
+
+
+def _places(model: type[BaseModel], prefix: tuple[str, ...] = ()) -> Iterable[tuple[str, ...]]:
+    for name, field in model.model_fields.items():
+        yield (*prefix, name)
+        inner = _as_model(field.annotation)
+        if inner:
+            yield from _places(inner, (*prefix, name))
+
+
+def _model_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel] | None:
+    """The section that holds the key at `place`."""
+    current: Any = model
+    for part in place:
+        section = _as_model(current)
+        if section is not None and part in section.model_fields:
+            current = section.model_fields[part].annotation
+        else:
+            arguments = get_args(current)
+            current = arguments[-1] if arguments and arguments[-1] is not Ellipsis else arguments[0] if arguments else None
+    return _as_model(current)
+
+
+def _as_model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) is Annotated:
+        return _as_model(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return next(filter(None, map(_as_model, get_args(annotation))), None)
+    return None
+
+
+def _field_at(model: type[BaseModel], place: Sequence[str | int]) -> Any:
+    section = _model_at(model, place[:-1]) if place else None
+    return section.model_fields.get(str(place[-1])) if section else None
+
+
+def _described(model: type[BaseModel], place: Sequence[str | int]) -> str:
+    field = _field_at(model, place)
+    return f": {field.description.rstrip('.')}" if field and field.description else ""
+
+
+def _default(model: type[BaseModel], place: Sequence[str | int]) -> str:
+    field = _field_at(model, place)
+    if field is None or field.is_required() or field.default_factory or isinstance(field.default, BaseModel):
+        return ""
+    return f" for its default, {field.default!r}"
+
+
+def _kind(value: Any) -> str:
+    return {type(None): "nothing", list: "a list", str: "a text"}.get(type(value), f"a {type(value).__name__}")
+
+
+def _shown(value: Any) -> str:
+    return _kind(value) if isinstance(value, dict | list) or value is None else repr(value)
+
+
+def _lower(message: str) -> str:
+    return message[:1].lower() + message[1:].rstrip(".")

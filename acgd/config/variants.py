@@ -1,0 +1,57 @@
+"""Variants of a study: overrides of the base, expanded over lists."""
+
+import itertools
+import json
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+EXPAND = "expand"
+
+Place = tuple[str, ...]
+
+
+def expanded(variants: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Every variant by its name, with each `{expand: [...]}` replaced by one of its values.
+
+    `demos: {rollouts: {demonstrations: {expand: [10, 30]}}}` gives `demos-demonstrations-10` and `demos-demonstrations-30`;
+    several lists in one variant give every combination.
+    """
+    named: dict[str, dict[str, Any]] = {}
+    for name, override in variants.items():
+        lists = list(_lists(override))
+        for choice in itertools.product(*(values for _, values in lists)):
+            parts = [f"{place[-1]}-{_slug(value)}" for (place, _), value in zip(lists, choice, strict=True)]
+            full = "-".join([name, *parts])
+            if full in named:
+                raise ValueError(f"two variants are called {full!r}; rename one of them")
+            chosen = dict(override)
+            for (place, _), value in zip(lists, choice, strict=True):
+                chosen = _replaced(chosen, place, value)
+            named[full] = chosen
+    return named
+
+
+def _lists(value: Any, place: Place = ()) -> Iterator[tuple[Place, list[Any]]]:
+    """Where a value is to be expanded, and over what."""
+    if not isinstance(value, Mapping):
+        return
+    if EXPAND in value:
+        values = value[EXPAND]
+        if set(value) != {EXPAND} or not isinstance(values, list) or not values or not place:
+            where = ".".join(place) or "the variant"
+            raise ValueError(f"{where}: write {{{EXPAND}: [first, second, ...]}} in place of one value, and nothing beside it")
+        yield place, values
+        return
+    for name, item in value.items():
+        yield from _lists(item, (*place, str(name)))
+
+
+def _replaced(override: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
+    head, *rest = place
+    return {**override, head: _replaced(override[head], tuple(rest), value) if rest else value}
+
+
+def _slug(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-") or "none"

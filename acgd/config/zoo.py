@@ -1,0 +1,16 @@
+"""Where the trained experts that come with the product lie."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2] / "zoo"
+FILES = ("card.json", "policy.json", "policy.safetensors")
+
+
+def folder(task: str, root: Path | None = None) -> Path:
+    """`myo/key-turn` -> zoo/myo-key-turn."""
+    return (root or ROOT) / task.replace("/", "-")
+
+
+def missing(task: str) -> list[str]:
+    """Files that the zoo lacks for a task; none where it has an expert."""
+    return [name for name in FILES if not (folder(task) / name).is_file()]
