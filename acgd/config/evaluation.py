@@ -21,8 +21,10 @@ class Condition(Section):
         "own",
         description="shuffled: each episode sees the image of another episode at the same time step. What a student loses by it, it had from the image.",
     )
-    start: Literal["perturbed", "nominal"] = Field(
-        "perturbed", description="nominal: the suite's own start. Seeds that would repeat an episode are left out, so a Fixed task has one."
+    start: Literal["perturbed", "nominal"] | None = Field(
+        None,
+        description="Where episodes start, if not as the task says. nominal: the suite's own start; seeds that would repeat an episode are left "
+        "out, so that a Fixed task has one.",
     )
 
 

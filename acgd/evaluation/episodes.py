@@ -7,15 +7,18 @@ takes another episode's image, and so depends on it by design.)
 """
 
 import json
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import save_file
 
-from acgd.config.evaluation import Condition
+from acgd.artifacts.atomic import replace_file
 from acgd.config.task import TaskConfig
+from acgd.experts.policy import Expert
+from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
 from acgd.tracking.progress import Bar
@@ -28,8 +31,8 @@ Policy = Callable[[dict[str, np.ndarray], int], np.ndarray]
 class Label:
     """What kind of episode it is: who acted, and under which condition."""
 
-    policy: str
-    """student, expert, replay or replay-nearest."""
+    control: str
+    """none for a student; else which control acts: replay, replay-nearest, expert or expert-nominal."""
     task: str
     goal: str
     """training, oracle, or none where the policy is given no goal image."""
@@ -52,14 +55,14 @@ class Episode:
 
     def to_json(self) -> str:
         """One line of episodes.jsonl."""
-        outcome = {"seed": self.seed, "final": self.final, "held": self.held, "once": self.once}
+        outcome = {"episode_seed": self.seed, "final": self.final, "held": self.held, "once": self.once}
         return json.dumps(asdict(self.label) | outcome | {"steps": self.steps, "return": self.reward})
 
     @classmethod
     def from_json(cls, line: str) -> "Episode":
         row = json.loads(line)
         label = Label(**{name: row.pop(name) for name in Label.__dataclass_fields__})
-        return cls(label, reward=row.pop("return"), **row)
+        return cls(label, seed=row.pop("episode_seed"), reward=row.pop("return"), **row)
 
 
 def roll(lock: Lockstep, seeds: list[int], policy: Policy, label: Label) -> tuple[list[Episode], np.ndarray]:
@@ -85,21 +88,28 @@ def run(
 
     Returns the episodes in the order of the seeds, and each seed's actions (steps, A).
     """
-    state.mkdir(parents=True, exist_ok=True)
-    name = "-".join((label.policy, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
+    name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)
     for at in range(0, len(seeds), size):
-        batch = seeds[at : at + size]
-        kept, done = state / f"{name}-{at:04d}.npy", state / f"{name}-{at:04d}.jsonl"
-        if not done.exists():
-            ended, chosen = roll(lock, batch, policy_for(batch), label)
-            _keep(kept, chosen)
-            _keep(done, ended)
-        ended, chosen = read(done), np.load(kept, allow_pickle=False)
+        batch, file = seeds[at : at + size], state / f"{name}-{at:04d}.safetensors"
+        if not file.exists():
+            _keep(file, *roll(lock, batch, policy_for(batch), label))
+        ended, chosen = _kept(file)
         episodes += ended
         actions |= {e.seed: chosen[: e.steps, i] for i, e in enumerate(ended)}
         bar.update(len(ended))
     return episodes, actions
+
+
+def _keep(file: Path, episodes: list[Episode], actions: np.ndarray) -> None:
+    """A finished batch, whole or not at all."""
+    notes = {"episodes": "\n".join(e.to_json() for e in episodes)}
+    replace_file(file, lambda draft: save_file({"actions": np.ascontiguousarray(actions)}, draft, metadata=notes))
+
+
+def _kept(file: Path) -> tuple[list[Episode], np.ndarray]:
+    with safe_open(file, "numpy") as batch:
+        return [Episode.from_json(line) for line in batch.metadata()["episodes"].splitlines()], batch.get_tensor("actions")
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:
@@ -117,29 +127,20 @@ def seeds_of(task: TaskConfig, split: str, episodes: int) -> list[int]:
     seeds = {"evaluation": SEEDS.evaluation, "validation": SEEDS.validation}[split].take(episodes)
     if task.start == "perturbed":
         return seeds
-    env = Lockstep(task, 1, image=False)
-    first = {env.reset([seed])["state"].tobytes(): seed for seed in reversed(seeds)}
+    env = registry.make(task, image=False)
+    first = {env.reset(seed=seed)[0]["state"].tobytes(): seed for seed in reversed(seeds)}
     return sorted(first.values())
 
 
-def started(task: TaskConfig, condition: Condition) -> TaskConfig:
-    """The task from the start that the condition asks for."""
-    return task.model_copy(update={"start": condition.start})
+def expert_policy(expert: Expert, size: int) -> Policy:
+    """The expert's mean action on the privileged state, computed `size` rows at a time."""
+
+    def act(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
+        return expert.mean(padded(obs["state"], size))[: len(obs["state"])]
+
+    return act
 
 
 def padded(rows: np.ndarray, size: int) -> np.ndarray:
     """(m, ...) -> (size, ...), the last row repeated."""
     return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)]) if len(rows) < size else rows
-
-
-def _keep(path: Path, content: np.ndarray | list[Episode]) -> None:
-    """Written beside, flushed and renamed: what is there is whole."""
-    draft = path.with_name(path.name + ".tmp")
-    if isinstance(content, np.ndarray):
-        with open(draft, "wb") as file:
-            np.save(file, content, allow_pickle=False)
-    else:
-        write(draft, content)
-    with open(draft, "rb") as file:
-        os.fsync(file.fileno())
-    os.replace(draft, path)

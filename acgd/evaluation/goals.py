@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from acgd.config.task import TaskConfig
-from acgd.evaluation.episodes import Label, padded, roll
+from acgd.evaluation.episodes import Label, expert_policy, roll
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
-from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep
 
 
@@ -25,19 +24,10 @@ def training_goals(rollouts: Path, seeds: list[int]) -> np.ndarray:
 
 def oracle_goals(task: TaskConfig, expert: Expert, seeds: list[int], size: int) -> np.ndarray:
     """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
-    lock, camera = Lockstep(task, size, image=False), registry.make(task)
+    lock = Lockstep(task, size, image=False)
     images = []
     for at in range(0, len(seeds), size):
         batch = seeds[at : at + size]
         roll(lock, batch, expert_policy(expert, size), Label("expert", task.name, "none", "none", task.start))
-        images += [camera.restore(env.snapshot())["image"] for env in lock.envs[: len(batch)]]
+        images += [env.render() for env in lock.envs[: len(batch)]]
     return np.stack(images)
-
-
-def expert_policy(expert: Expert, size: int):
-    """The expert's mean action on the privileged state, computed `size` rows at a time."""
-
-    def act(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
-        return expert.mean(padded(obs["state"], size))[: len(obs["state"])]
-
-    return act

@@ -1,0 +1,418 @@
+"""Evaluation: intervals against known values, episodes that depend on nothing but their seed, controls, goals, clips."""
+
+import filecmp
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from imageio_ffmpeg import count_frames_and_secs, read_frames
+from scipy.stats import binomtest
+
+from acgd.artifacts.stage import Context
+from acgd.config.evaluation import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
+from acgd.config.student import CodebookConfig
+from acgd.config.task import TaskConfig
+from acgd.evaluation.clips import film, write_mp4
+from acgd.evaluation.controls import CONTROLS, controls, nearest, replay
+from acgd.evaluation.episodes import Episode, Label, expert_policy, padded, read, roll, run, seeds_of
+from acgd.evaluation.evaluate import StudentPolicy, evaluate, plan
+from acgd.evaluation.goals import demonstration_for, oracle_goals, training_goals
+from acgd.evaluation.intervals import mcnemar, over_seeds, paired_difference, wilson
+from acgd.evaluation.summary import success_rows
+from acgd.experts.policy import Expert
+from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.store import write_group
+from acgd.students.codebook import Sizes
+from acgd.students.student import Student
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+from acgd.tracking.metrics import Metrics
+from acgd.tracking.progress import Progress
+
+PEN = TaskConfig(name="myo/pen-twirl")
+"""The shortest episodes: 50 steps at most."""
+HOLD = TaskConfig(name="myo/obj-hold")
+LABEL = Label("expert", PEN.name, "none", "none", "perturbed")
+
+
+def context(folder: Path) -> Context:
+    out, state = folder / "out", folder / "state"
+    out.mkdir(parents=True, exist_ok=True)
+    state.mkdir(exist_ok=True)
+    return Context(out, state, Metrics(out / "metrics.jsonl"), Progress(io.StringIO()), torch.device("cpu"))
+
+
+def random_expert(task: TaskConfig) -> Expert:
+    env = registry.make(task, image=False)
+    return Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0], seed=1, meta={"task": task.name})
+
+
+@pytest.fixture(scope="module")
+def expert() -> Expert:
+    return random_expert(PEN)
+
+
+@pytest.fixture(scope="module")
+def pen_lock() -> Lockstep:
+    return Lockstep(PEN, 2, image=False)
+
+
+@pytest.fixture(scope="module")
+def artifacts(tmp_path_factory) -> dict[str, list[Path]]:
+    """Rollouts and experts of PEN and HOLD, as the stages publish them, but of an untrained expert."""
+    folder = tmp_path_factory.mktemp("artifacts")
+    found = {"rollouts": [], "experts": []}
+    for task in (PEN, HOLD):
+        acts = random_expert(task)
+        lock = Lockstep(task, 3, image=True)
+        states: list[np.ndarray] = []
+
+        def policy(obs, step, acts=acts, states=states):
+            states.append(obs["state"])
+            return acts.mean(obs["state"])
+
+        episodes, actions = roll(lock, SEEDS.demonstrations.take(3), policy, LABEL)
+        lengths = [e.steps for e in episodes]
+        arrays = {
+            "action": np.concatenate([actions[:n, i] for i, n in enumerate(lengths)]),
+            "state": np.concatenate([np.stack(states)[:n, i] for i, n in enumerate(lengths)]),
+            "final_image": np.stack([env.render() for env in lock.envs]),
+            "episode_ends": np.cumsum(lengths).astype(np.int64),
+            "seed": np.array(SEEDS.demonstrations.take(3), np.int64),
+        }
+        place = folder / task.name.replace("/", "-")
+        (place / "expert").mkdir(parents=True)
+        write_group(place / "rollouts.zarr", arrays, {"task": task.name, "reward_terms": []})
+        acts.save(place / "expert")
+        found["rollouts"].append(place)
+        found["experts"].append(place / "expert")
+    return found
+
+
+# -- intervals -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 5, 25, 200])
+def test_wilson_agrees_with_scipy(n):
+    for k in range(0, n + 1, max(1, n // 7)):
+        reference = binomtest(k, n).proportion_ci(0.95, method="wilson")
+        found = wilson(k, n)
+        assert (found.mean, found.low, found.high) == pytest.approx((k / n, reference.low, reference.high), abs=1e-12)
+
+
+def test_wilson_refuses_what_is_no_rate():
+    for k, n in ((0, 0), (3, 2), (-1, 4)):
+        with pytest.raises(ValueError, match="successes"):
+            wilson(k, n)
+
+
+def test_over_seeds_is_students_t():
+    found = over_seeds([0.68, 0.70, 0.72])
+    assert (found.mean, found.low, found.high) == pytest.approx((0.70, 0.70 - 4.302653 * 0.02 / 3**0.5, 0.70 + 4.302653 * 0.02 / 3**0.5), abs=1e-6)
+    assert (over_seeds([0.4]).low, over_seeds([0.4]).high) == (0.0, 1.0)
+
+
+def test_mcnemar_is_the_sign_test():
+    assert mcnemar(10, 2) == pytest.approx(2 * (1 + 12 + 66) / 2**12)
+    assert mcnemar(3, 3) == mcnemar(0, 0) == 1.0
+
+
+def test_paired_difference_counts_and_bounds():
+    a = np.array([[1, 1, 0, 1], [1, 0, 0, 1]], bool)
+    b = np.array([[1, 0, 0, 0], [1, 0, 1, 0]], bool)
+    found = paired_difference([a], [b])
+    assert (found.wins, found.losses, found.episodes, found.mean) == (3, 1, 8, pytest.approx(0.25))
+    assert found.low < 0.25 < found.high
+    swapped = paired_difference([b], [a])
+    assert (swapped.mean, swapped.low, swapped.high) == pytest.approx((-found.mean, -found.high, -found.low), abs=1e-12)
+    same = paired_difference([a], [a])
+    assert (same.mean, same.low, same.high, same.p_value) == (0, 0, 0, 1)
+
+
+def test_paired_difference_gains_from_pairing_and_pays_for_student_seeds():
+    rng = np.random.default_rng(0)
+    start = rng.random((1, 40)) < 0.5  # what is hard depends on the start, the same for both variants
+    a, b = np.repeat(start, 4, axis=0), np.repeat(start, 4, axis=0)
+    b[:, np.flatnonzero(start[0])[:4]] = False
+    paired, unpaired = paired_difference([a], [b]), paired_difference([a], [np.roll(b, 7, axis=1)])
+    assert paired.high - paired.low < 0.6 * (unpaired.high - unpaired.low)
+    between = np.zeros((4, 40), bool)
+    between[0] = True  # the same share of wins as below, but all of them one student's
+    within = np.tile(np.arange(40) % 4 == 0, (4, 1))
+    none = np.zeros((4, 40), bool)
+    wide, narrow = paired_difference([between], [none]), paired_difference([within], [none])
+    assert wide.mean == narrow.mean and wide.high - wide.low > 1.5 * (narrow.high - narrow.low)
+
+
+def test_paired_difference_covers_the_truth():
+    """Students differ in skill by 10 points, starts in difficulty; the true difference is 0.1."""
+    rng, hits = np.random.default_rng(1), 0
+    for trial in range(200):
+        easy, skill = rng.uniform(0.3, 0.6, (1, 25)), rng.normal(0, 0.1, (8, 1))
+        a, b = (rng.random((8, 25)) < easy + gain + skill for gain in (0.1, 0.0))
+        found = paired_difference([a], [b], seed=trial, resamples=300)
+        hits += found.low <= 0.1 <= found.high
+    assert 180 <= hits <= 200
+
+
+def test_paired_difference_refuses_what_does_not_pair():
+    with pytest.raises(ValueError, match="student seeds, episodes"):
+        paired_difference([np.zeros((2, 5), bool)], [np.zeros((2, 4), bool)])
+
+
+# -- episodes ------------------------------------------------------------------------------------
+
+
+def test_lockstep_equals_one_after_the_other(expert):
+    """With actions that do not depend on the batch, each seed ends the same to the last bit, beside others or alone."""
+    seeds = SEEDS.evaluation.take(3)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 0, (50, 3, 39)).astype(np.float32)
+    together, _ = roll(Lockstep(PEN, 3, image=False), seeds, lambda obs, t: actions[t], LABEL)
+    lock = Lockstep(PEN, 1, image=False)
+    alone = [roll(lock, [seed], lambda obs, t, i=i: actions[t, i : i + 1], LABEL)[0][0] for i, seed in reversed(list(enumerate(seeds)))]
+    assert together == alone[::-1]
+    assert len({e.reward for e in together}) == 3
+
+
+def test_an_episode_does_not_depend_on_how_many_there_are(expert, tmp_path):
+    """Fixed batches: the first three of five are the three of three, though their last batch is only half full."""
+    seeds, lock = SEEDS.evaluation.take(5), Lockstep(PEN, 2, image=False)
+    with Progress(io.StringIO())(8, "") as bar:
+        five, _ = run(lock, seeds, lambda batch: expert_policy(expert, 2), LABEL, tmp_path / "five", bar)
+        three, _ = run(lock, seeds[:3], lambda batch: expert_policy(expert, 2), LABEL, tmp_path / "three", bar)
+    assert five[:3] == three
+
+
+def test_a_resumed_run_equals_an_uninterrupted_one(expert, pen_lock, tmp_path):
+    seeds, asked = SEEDS.validation.take(5), []
+
+    def policy_for(batch, dies=False):
+        asked.append(batch)
+        if dies and len(asked) == 3:
+            raise KeyboardInterrupt
+        return expert_policy(expert, 2)
+
+    with Progress(io.StringIO())(15, "") as bar:
+        whole, actions = run(pen_lock, seeds, policy_for, LABEL, tmp_path / "whole", bar)
+        asked.clear()
+        with pytest.raises(KeyboardInterrupt):
+            run(pen_lock, seeds, lambda batch: policy_for(batch, dies=True), LABEL, tmp_path / "killed", bar)
+        asked.clear()
+        resumed, again = run(pen_lock, seeds, policy_for, LABEL, tmp_path / "killed", bar)
+    assert asked == [seeds[4:]]
+    assert resumed == whole
+    assert all(np.array_equal(actions[seed], again[seed]) for seed in seeds)
+
+
+def test_episodes_survive_json():
+    episode = Episode(Label("none", PEN.name, "oracle", "own", "perturbed"), 7, True, False, True, 50, -1.1 / 3)
+    assert Episode.from_json(episode.to_json()) == episode
+
+
+def test_nominal_starts_are_not_counted_twice():
+    assert len(seeds_of(PEN.model_copy(update={"start": "nominal"}), "evaluation", 6)) == 1
+    assert len(seeds_of(TaskConfig(name="myo/pen-twirl-hard", start="nominal"), "evaluation", 6)) == 6
+    assert seeds_of(PEN, "validation", 6) == SEEDS.validation.take(6)
+
+
+def test_success_rows_hold_every_rule_with_its_interval():
+    episodes = [Episode(LABEL, seed, seed < 2, seed < 1, seed < 3, 50, float(seed)) for seed in range(4)]
+    rows = success_rows(episodes)
+    assert [(row["rule"], row["successes"], row["episodes"]) for row in rows] == [("final", 2, 4), ("held", 1, 4), ("once", 3, 4)]
+    assert rows[0]["low"] == wilson(2, 4).low and rows[0]["mean_return"] == 1.5
+
+
+# -- goals ---------------------------------------------------------------------------------------
+
+
+def test_oracle_goals_keep_the_seeds_that_the_expert_fails(expert):
+    seeds, lock = SEEDS.evaluation.take(3), Lockstep(PEN, 1, image=False)
+    ends = [roll(lock, [seed], expert_policy(expert, 2), LABEL) for seed in seeds]
+    assert not any(episodes[0].final for episodes, _ in ends)
+    goals = oracle_goals(PEN, expert, seeds, 2)
+    env = registry.make(PEN)
+    for seed, goal, (_, actions) in zip(seeds, goals, ends, strict=True):
+        env.reset(seed=seed)
+        for action in actions[:, 0]:
+            obs, *_ = env.step(action)
+        assert goal.shape == (84, 84, 3) and np.abs(goal.astype(int) - obs["image"]).max() <= 2
+
+
+def test_training_goals_are_ends_of_demonstrations_chosen_by_seed(artifacts):
+    seeds = SEEDS.evaluation.take(12)
+    known = Demonstrations.load(artifacts["rollouts"][0], ["final_image"]).arrays["final_image"]
+    goals = training_goals(artifacts["rollouts"][0], seeds)
+    places = [next(i for i, image in enumerate(known) if np.array_equal(image, goal)) for goal in goals]
+    assert places == [demonstration_for(seed, 3) for seed in seeds] and set(places) == {0, 1, 2}
+
+
+# -- the student ---------------------------------------------------------------------------------
+
+
+class SpyActor:
+    """Remembers all that it is given."""
+
+    def __init__(self) -> None:
+        self.seen: list[dict[str, np.ndarray]] = []
+
+    def reset(self, task_ids, goal_images, seeds):
+        self.started = task_ids, goal_images, seeds
+        return 0
+
+    def act(self, obs, memory):
+        self.seen.append(obs)
+        return np.full((len(obs["image"]), 39), -0.5, np.float32), memory + 1
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_the_student_sees_image_and_proprio_in_full_batches_and_nothing_else(shuffled):
+    lock, spy, given = Lockstep(PEN, 3, image=True), SpyActor(), []
+    seeds, goals = SEEDS.evaluation.take(2), np.arange(2, dtype=np.uint8)[:, None, None, None]
+    policy = StudentPolicy(spy, 1, seeds, goals, 3, shuffled=shuffled)
+
+    def watched(obs, step):
+        given.append(obs)
+        return policy(obs, step)
+
+    roll(lock, seeds, watched, LABEL)
+    task_ids, goal_images, row_seeds = spy.started
+    assert task_ids.tolist() == [1, 1, 1] and goal_images.ravel().tolist() == [0, 1, 1] and row_seeds == [*seeds, seeds[1]]
+    for obs, seen in zip(given, spy.seen, strict=True):
+        assert set(obs) == {"image", "proprio", "state"} and set(seen) == {"image", "proprio"}
+        assert np.array_equal(seen["proprio"], obs["proprio"][[0, 1, 1]])
+        assert np.array_equal(seen["image"], obs["image"][[1, 0, 0] if shuffled else [0, 1, 1]])
+    assert not np.array_equal(given[0]["image"][0], given[0]["image"][1])
+
+
+def test_conditions_that_the_student_cannot_tell_apart_run_once():
+    conditions = (Condition(), Condition(image_features="shuffled"), Condition(goal="oracle"), Condition(start="nominal"))
+    request = EvaluationRequest(tasks=(PEN, HOLD), evaluation=EvaluationConfig(episodes=4, conditions=conditions))
+    with_goal, without = plan(request, uses_goal=True), plan(request, uses_goal=False)
+    assert len(with_goal) == 8 and [r.label.goal for r in with_goal[::2]] == ["training", "training", "oracle", "training"]
+    assert len(without) == 6 and {r.label.goal for r in without} == {"none"}
+    assert [r.place for r in without] == [0, 1] * 3
+    assert [len(r.seeds) for r in with_goal[-2:]] == [1, 1]
+
+
+def test_a_shuffled_image_needs_another_episode():
+    with pytest.raises(ValueError, match="leave one alone"):
+        EvaluationConfig(episodes=25, lockstep=8, conditions=(Condition(image_features="shuffled"),))
+
+
+@pytest.fixture(scope="module")
+def student(tmp_path_factory) -> Path:
+    """An untrained student with its own CNN."""
+    folder = tmp_path_factory.mktemp("student")
+    torch.manual_seed(0)
+    config = CodebookConfig(chunk=4, history=2, groups=2, codes=4, width=16, heads=2, encoder_layers=1, decoder_layers=1)
+    made = Student(config, Sizes(features=16, proprio=85, actions=39, tasks=2, owns_cnn=True))
+    made.save(folder, {"best": made.state_dict()}, {})
+    return folder
+
+
+def same_files(a: Path, b: Path) -> bool:
+    names = sorted(p.relative_to(a).as_posix() for p in a.rglob("*") if p.is_file())
+    assert names == sorted(p.relative_to(b).as_posix() for p in b.rglob("*") if p.is_file())
+    return filecmp.cmpfiles(a, b, names, shallow=False)[0] == names
+
+
+def test_the_stage_evaluates_films_and_resumes_to_the_same_bytes(artifacts, student, tmp_path, monkeypatch):
+    conditions = (Condition(), Condition(goal="oracle"), Condition(image_features="shuffled"))
+    settings = EvaluationConfig(episodes=4, lockstep=2, conditions=conditions)
+    request = EvaluationRequest(tasks=(PEN, HOLD), evaluation=settings, seed=5)
+    inputs = {"student": student, **artifacts}
+    evaluate(request, inputs, context(tmp_path / "whole"))
+
+    episodes = read(tmp_path / "whole/out/episodes.jsonl")
+    assert len(episodes) == 4 * 2 * 3
+    assert [e.label.goal for e in episodes[::4]] == ["training"] * 2 + ["oracle"] * 2 + ["training"] * 2
+    assert all([e.seed for e in episodes[i : i + 4]] == SEEDS.evaluation.take(4) for i in range(0, 24, 4))
+    clips = sorted((tmp_path / "whole/out/clips").iterdir())
+    assert [c.name for c in clips] == ["myo-obj-hold-failure.mp4", "myo-pen-twirl-failure.mp4"]
+    for clip in clips:
+        frames, seconds = count_frames_and_secs(str(clip))
+        assert frames > 10 and seconds > 0.5
+
+    from acgd.evaluation import evaluate as stage
+
+    done, film_both = [], stage.film_both
+
+    def killed(*args):
+        done.append(args)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        film_both(*args)
+
+    monkeypatch.setattr(stage, "film_both", killed)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(request, inputs, context(tmp_path / "killed"))
+    evaluate(request, inputs, context(tmp_path / "killed"))
+    context(tmp_path / "killed").metrics.flush()
+    assert same_files(tmp_path / "whole/out", tmp_path / "killed/out")
+
+
+# -- controls ------------------------------------------------------------------------------------
+
+
+def test_replay_repeats_the_demonstration_and_then_its_last_action(artifacts):
+    demonstrations = Demonstrations.load(artifacts["rollouts"][0], ["action"])
+    start, end = demonstrations.episode_starts[1], demonstrations.episode_ends[1]
+    policy = replay(demonstrations, [1, 0])
+    assert np.array_equal(policy({}, 3)[0], demonstrations.arrays["action"][start + 3])
+    assert np.array_equal(policy({}, 10_000)[0], demonstrations.arrays["action"][end - 1])
+
+
+def test_replay_from_the_demonstrations_own_start_ends_as_it_did(artifacts, pen_lock):
+    demonstrations = Demonstrations.load(artifacts["rollouts"][0], ["action"])
+    episodes, _ = roll(pen_lock, demonstrations.seeds[:2].tolist(), replay(demonstrations, [0, 1]), LABEL)
+    assert [e.steps for e in episodes] == demonstrations.lengths[:2].tolist()
+
+
+def test_nearest_weighs_entries_by_their_spread():
+    starts = np.array([[0.0, 0.0, 5.0], [1.0, 100.0, 5.0]])
+    states = np.array([[0.9, 20.0, 9.0], [0.9, 80.0, 9.0], [0.1, 45.0, -9.0]])
+    assert nearest(states, starts).tolist() == [1, 1, 0]
+
+
+def test_controls_pair_with_the_evaluation(artifacts, tmp_path):
+    request = ControlsRequest(tasks=(PEN, HOLD), controls=ControlsConfig(episodes=3, lockstep=2))
+    for name in ("first", "second"):
+        controls(request, dict(artifacts), context(tmp_path / name))
+    episodes = read(tmp_path / "first/out/episodes.jsonl")
+    for task in (PEN, HOLD):
+        for control in CONTROLS:
+            seeds = [e.seed for e in episodes if e.label.control == control and e.label.task == task.name]
+            assert seeds == SEEDS.evaluation.take(1 if control == "expert-nominal" else 3)
+    assert same_files(tmp_path / "first/out", tmp_path / "second/out")
+
+
+# -- clips ---------------------------------------------------------------------------------------
+
+
+def test_clips_are_playable_and_repeat_byte_for_byte(tmp_path):
+    frames = np.zeros((30, 252, 252, 3), np.uint8)
+    for i, frame in enumerate(frames):
+        frame[:, : 8 * i] = (220, 40, 40)
+    for name in ("a", "b"):
+        write_mp4(tmp_path / f"{name}.mp4", frames, 25.0)
+    assert filecmp.cmp(tmp_path / "a.mp4", tmp_path / "b.mp4", shallow=False)
+    played = read_frames(str(tmp_path / "a.mp4"))
+    about = next(played)
+    shown = [np.frombuffer(frame, np.uint8).reshape(252, 252, 3) for frame in played]
+    assert about["size"] == (252, 252) and about["fps"] == 25.0 and len(shown) == 30
+    assert np.abs(shown[20].astype(int) - frames[20]).mean() < 8
+
+
+def test_a_clip_of_another_outcome_is_refused(tmp_path):
+    episode = Episode(LABEL, SEEDS.evaluation.take(1)[0], True, True, True, 3, 0.0)
+    with pytest.raises(RuntimeError, match="does not repeat"):
+        film(tmp_path / "never.mp4", PEN, episode, np.zeros((3, 39), np.float32))
+    assert not (tmp_path / "never.mp4").exists()
+
+
+def test_padding_repeats_the_last_row():
+    assert padded(np.array([[1], [2]]), 4).ravel().tolist() == [1, 2, 2, 2]
