@@ -46,7 +46,7 @@ def context():
         made = importlib.import_module(f"mujoco.{name}").GLContext(64, 64)
         made.make_current()
     except Exception as error:
-        raise GraphicsError(explain(f"the OpenGL backend '{name}' does not start: {error}")) from error
+        raise GraphicsError(explain(f"the OpenGL backend '{name}' does not start ({str(error).rstrip('.')})")) from error
     return made
 
 
@@ -54,6 +54,6 @@ def explain(what: str) -> str:
     """What is wrong, and what to do about it."""
     return (
         f"Cannot draw images: {what}. On Debian or Ubuntu install Mesa's software renderer "
-        f"({INSTALL}), or choose another backend by setting MUJOCO_GL=egl or MUJOCO_GL=osmesa "
-        "(osmesa needs libosmesa6). Experts and critics need no images and run without."
+        f"({INSTALL}) and set MUJOCO_GL=egl or leave it unset; MUJOCO_GL=osmesa works "
+        "where libosmesa6 is installed. Experts and critics need no images and run without."
     )

@@ -72,16 +72,18 @@ def _options() -> mujoco.MjvOption:
     return option
 
 
+def drawn_meshes(model: mujoco.MjModel) -> set[int]:
+    """Indices of the meshes that a picture shows."""
+    meshes = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_group == _SHOWN)
+    return set(model.geom_dataid[meshes].tolist())
+
+
 _TARGETS: dict[tuple[str, int], mujoco.MjrContext] = {}
 """Framebuffer and meshes by content of the meshes and size: tasks on the same hand share one."""
 
 
 def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
-    drawn = {
-        int(mesh)
-        for mesh, kind, group in zip(model.geom_dataid, model.geom_type, model.geom_group)
-        if kind == mujoco.mjtGeom.mjGEOM_MESH and group == _SHOWN
-    }
+    drawn = drawn_meshes(model)
     content = hashlib.sha256(repr(sorted(drawn)).encode())
     content.update(model.mesh_vert.tobytes() + model.mesh_face.tobytes() + model.mesh_vertadr.tobytes())
     key = content.hexdigest(), size
@@ -95,7 +97,7 @@ def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
             try:
                 made = mujoco.MjrContext(small, mujoco.mjtFontScale.mjFONTSCALE_50)
             except mujoco.FatalError as error:
-                raise gl.GraphicsError(gl.explain(f"this OpenGL is too old ({error})")) from error
+                raise gl.GraphicsError(gl.explain(f"OpenGL does not work: {error}")) from error
         if not _TARGETS:
             atexit.register(_free)
         _TARGETS[key] = made
