@@ -1,0 +1,95 @@
+"""Frames per second at 84 px in one thread, beside MuJoCo's default settings: `python -m benchmarks.rendering`."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import TypedDict
+
+import mujoco
+import numpy as np
+
+from acgd.tasks import gl, registry
+from acgd.tasks.cameras import CAMERAS, Camera
+from acgd.tasks.rendering import Renderer
+
+SIZE = 84
+FRAMES = 200
+DEFAULT_FRAMES = 3
+LEAST_RATE, LEAST_RATIO = 400.0, 60.0
+TASKS = ("myo/key-turn", "myo/obj-hold", "myo/pen-twirl", "myo/pose", "myo/reach")
+"""The hard versions draw the same things."""
+
+
+class Row(TypedDict):
+    name: str
+    value: float
+    unit: str
+    ratio: float
+    """To MuJoCo's defaults in the same run."""
+    target: str
+    met: bool
+
+
+def run() -> list[Row]:
+    """One row per task: the rate of the median frame, and its ratio to that of MuJoCo's defaults."""
+    return [_measure(task) for task in TASKS]
+
+
+def _measure(task: str) -> Row:
+    env = registry.make(task, image=False)
+    env.reset(seed=0)
+    camera = CAMERAS[env.task.kind]
+    ours = Renderer(env.model, camera=camera, size=SIZE)
+    default = _default(env.model, env.data, camera)
+    slow = _seconds(default, DEFAULT_FRAMES)
+    fast = _seconds(lambda: ours.render(env.data), FRAMES)
+    env.close()
+    return Row(
+        name=f"rendering/{task}",
+        value=1 / fast,
+        unit="frames/s",
+        ratio=slow / fast,
+        target=f">= {LEAST_RATE:.0f} frames/s and >= {LEAST_RATIO:.0f} times the default",
+        met=1 / fast >= LEAST_RATE and slow / fast >= LEAST_RATIO,
+    )
+
+
+def _default(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> Callable[[], np.ndarray]:
+    """What mujoco.Renderer(model, SIZE, SIZE) does, in our OpenGL context: its own needs MUJOCO_GL at import."""
+    view, option = camera.build(), mujoco.MjvOption()
+    scene, viewport = mujoco.MjvScene(model, maxgeom=10_000), mujoco.MjrRect(0, 0, SIZE, SIZE)
+    with gl.context().as_current():
+        target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+
+    def render() -> np.ndarray:
+        image = np.empty((SIZE, SIZE, 3), np.uint8)
+        mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+        with gl.context().as_current():
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
+            mujoco.mjr_render(viewport, scene, target)
+            mujoco.mjr_readPixels(image, None, viewport, target)
+        return np.flipud(image)
+
+    return render
+
+
+def _seconds(render: Callable[[], np.ndarray], frames: int) -> float:
+    """Median wall time of a frame, the first (which uploads) left out."""
+    render()
+    times = []
+    for _ in range(frames):
+        start = time.perf_counter()
+        render()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def main() -> None:
+    print(f"{'task':<28}{'frames/s':>10}{'ms':>8}{'x default':>11}  met")
+    for row in run():
+        rate = row["value"]
+        print(f"{row['name']:<28}{rate:>10.0f}{1e3 / rate:>8.2f}{row['ratio']:>11.0f}  {'yes' if row['met'] else 'NO'}")
+
+
+if __name__ == "__main__":
+    main()
