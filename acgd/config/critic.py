@@ -59,7 +59,7 @@ class CriticConfig(Section):
     target_every: PositiveInt = Field(100, description="Updates between two recomputations of the targets of all transitions.")
     within_state: float = Field(1.0, ge=0, description="Weight of the regression of differences between actions of one branched state.")
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")
-    checkpoint_every: PositiveInt = Field(1000, description="Updates between two checkpoints.")
+    checkpoint_every: PositiveInt = Field(1000, description="Updates between two checkpoints.", json_schema_extra={"key": False})
     quality: QualityConfig = QualityConfig()
 
 

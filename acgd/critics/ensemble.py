@@ -37,9 +37,12 @@ class Critic(nn.Module):
         self.weights = nn.ParameterList(
             nn.Parameter(torch.randn(members, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
         )
-        # The bias of a hidden layer stands after its LayerNorm, which would undo one before it.
+        # Without a bias before it, LayerNorm would make the first layer blind to the size of its input.
+        self.biases = nn.ParameterList(
+            nn.Parameter((torch.rand(members, 1, m, generator=generator) * 2 - 1) / n**0.5) for n, m in zip(sizes, sizes[1:])
+        )
         self.gains = nn.ParameterList(nn.Parameter(torch.ones(members, 1, width)) for _ in range(depth))
-        self.biases = nn.ParameterList(nn.Parameter(torch.zeros(members, 1, m)) for m in sizes[1:])
+        self.offsets = nn.ParameterList(nn.Parameter(torch.zeros(members, 1, width)) for _ in range(depth))
         for name, value in {"state_mean": torch.zeros(state_dim), "state_std": torch.ones(state_dim),
                             "shift": torch.zeros(()), "scale": torch.ones(()), "spread": torch.ones(())}.items():
             self.register_buffer(name, value)
@@ -55,7 +58,11 @@ class Critic(nn.Module):
 
     def standard(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) -> (M, B), before `shift` and `scale`: what the fit regresses."""
-        return stacked_mlp(torch.cat([self.normalise(state), action], -1), self.weights, self.gains, self.biases)
+        x = torch.cat([self.normalise(state), action], -1).expand(self.members, -1, -1)
+        for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
+            normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
+            x = F.silu(torch.addcmul(offset, normal, gain))
+        return torch.baddbmm(self.biases[-1], x, self.weights[-1]).squeeze(-1)
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""
@@ -75,10 +82,3 @@ class Critic(nn.Module):
         critic.meta = meta
         return critic.eval()
 
-
-def stacked_mlp(x: Tensor, weights: nn.ParameterList, gains: nn.ParameterList, biases: nn.ParameterList) -> Tensor:
-    """(B, in) or (M, B, in) -> (M, B): linear, LayerNorm, SiLU per hidden layer, then one linear output, member by member."""
-    x = x.expand(weights[0].shape[0], *x.shape[-2:])
-    for weight, gain, bias in zip(weights, gains, biases):
-        x = F.silu(torch.addcmul(bias, F.layer_norm(torch.bmm(x, weight), weight.shape[-1:]), gain))
-    return torch.baddbmm(biases[-1], x, weights[-1]).squeeze(-1)

@@ -1,0 +1,343 @@
+"""Critics: fitted Q evaluation, its targets, the aggregate, and the measures of quality."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pydantic import ValidationError
+
+from acgd.artifacts.stage import Context
+from acgd.config.critic import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
+from acgd.config.task import TaskConfig
+from acgd.critics import quality
+from acgd.critics.aggregate import AggregateCritic
+from acgd.critics.ensemble import Critic
+from acgd.critics.fit import fit
+from acgd.critics.fitted_q import FittedQ
+from acgd.critics.gather import branches, candidates, rollouts
+from acgd.critics.perturbations import kinds, offsets
+from acgd.critics.targets import targets
+from acgd.critics.transitions import ROLLOUT, Transitions, concatenate
+from acgd.experts.policy import Expert
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+from acgd.tracking.metrics import Metrics, read
+from acgd.tracking.progress import Progress
+
+CPU = torch.device("cpu")
+QUIET = Progress(open("/dev/null", "w"))
+TASK = TaskConfig(name="myo/pen-twirl")
+TINY = CriticConfig(
+    width=16, steps=60, updates=12, batch=16, branch_batch=2, target_every=5, checkpoint_every=4, horizon=8,
+    branches=BranchConfig(states=3, actions=3, steps=3), quality=QualityConfig(states=4, candidates=5, tail=4),
+)  # fmt: skip
+
+
+def linear_problem(rows: int = 1500, terminal: bool = False) -> Transitions:
+    """s' = 0.8 s + 0.2 a, r = s + 0.5 a, expert a = 0; each row is its own episode, cut by a time limit or terminated."""
+    rng = np.random.default_rng(0)
+    state, action = (rng.uniform(-1, 1, (rows, 1)).astype(np.float32) for _ in range(2))
+    return Transitions(
+        state=state, action=action, reward=(state + 0.5 * action)[:, 0], next_state=0.8 * state + 0.2 * action,
+        next_action=np.zeros((rows, 1), np.float32), terminated=np.full(rows, terminal), on_policy=np.zeros(rows, bool),
+        branch=np.full(rows, ROLLOUT), ends=np.arange(1, rows + 1),
+    )  # fmt: skip
+
+
+def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Critic:
+    fit = FittedQ(data, config, gamma, CPU)
+    while fit.step < config.updates:
+        fit.update()
+    return fit.finish()
+
+
+def a_critic(state_dim: int, seed: int, members: int = 2) -> Critic:
+    generator = torch.Generator().manual_seed(seed)
+    critic = Critic(state_dim, 3, members=members, width=16, depth=2, generator=generator)
+    critic.state_mean.copy_(torch.randn(state_dim, generator=generator))
+    critic.state_std.copy_(torch.rand(state_dim, generator=generator) + 0.5)
+    critic.shift.fill_(-100.0 * seed)
+    critic.scale.fill_(3.0 + seed)
+    critic.spread.fill_(2.0 + seed)
+    return critic.eval()
+
+
+# -- targets and the fit ---------------------------------------------------------------------------
+
+
+def test_targets_are_the_hand_computed_ones():
+    # One episode: row 1 is perturbed, rows 2 and 3 follow the expert, the simulator terminates after row 3.
+    # Another: both rows follow the expert, then the time limit.
+    reward = np.array([1, 2, 4, 8, 1, 1], np.float32)
+    terminated = np.array([0, 0, 0, 1, 0, 0], bool)
+    on_policy = np.array([1, 0, 1, 1, 1, 1], bool)
+    found = targets(reward, terminated, on_policy, np.array([4, 6]), gamma=0.5, horizon=10)
+    next_value = torch.tensor([[10.0, 20.0, 30.0, 40.0, 50.0, 60.0]])
+    expected = [
+        1 + 0.5 * 10,  # the next action is perturbed: bootstrap at once
+        2 + 0.5 * 4 + 0.25 * 8,  # its own noise does not matter, what follows is the expert; terminated, no bootstrap
+        4 + 0.5 * 8,
+        8,
+        1 + 0.5 * 1 + 0.25 * 60,  # past the time limit
+        1 + 0.5 * 60,
+    ]
+    assert found(next_value).tolist() == [expected]
+
+
+def test_horizon_one_is_one_step_fitted_q_evaluation():
+    reward, on_policy = np.array([1, 2, 3], np.float32), np.ones(3, bool)
+    found = targets(reward, np.array([0, 0, 1], bool), on_policy, np.array([3]), gamma=0.5, horizon=1)
+    assert found(torch.tensor([[10.0, 20.0, 30.0]])).tolist() == [[6.0, 12.0, 3.0]]
+
+
+def test_fit_recovers_the_q_of_a_linear_problem():
+    # V(s) = s / (1 - 0.8 * 0.9) = 3.5714 s;  Q(s, a) = s + 0.5 a + 0.9 V(0.8 s + 0.2 a) = 3.5714 s + 1.142857 a
+    critic = fitted(linear_problem(), CriticConfig(width=32, updates=800, batch=64, target_every=20, lr=3e-3))
+    state = torch.tensor([[0.5], [-0.5], [0.2], [0.0]])
+    action = torch.tensor([[0.0], [0.5], [-0.8], [0.6]])
+    expected = 3.5714 * state[:, 0] + 1.142857 * action[:, 0]
+    assert torch.allclose(critic(state, action), expected.expand(2, -1), atol=0.15)
+
+
+def test_terminated_transitions_are_worth_their_reward():
+    critic = fitted(linear_problem(terminal=True), CriticConfig(width=32, updates=600, batch=128, lr=3e-3))
+    state, action = torch.tensor([[0.5], [-0.5]]), torch.tensor([[0.0], [0.5]])
+    assert torch.allclose(critic(state, action), torch.tensor([0.5, -0.25]).expand(2, -1), atol=0.05)
+
+
+def test_q_is_in_reward_units():
+    # Rewards 1000 times as large: the same critic up to rounding, with 1000 times the values.
+    data, config = linear_problem(200), CriticConfig(width=16, updates=40, batch=32)
+    small, large = fitted(data, config), fitted(replace(data, reward=1000 * data.reward), config)
+    state, action = torch.tensor([[0.5]]), torch.tensor([[0.3]])
+    assert torch.allclose(1000 * small(state, action), large(state, action), rtol=1e-2)
+    assert float(large.spread / small.spread) == pytest.approx(1000, rel=1e-2)
+
+
+def test_within_state_regression_ranks_actions_where_the_value_of_states_drowns_them():
+    rng = np.random.default_rng(0)
+    state = np.repeat(rng.uniform(-1, 1, (200, 1)), 4, 0).astype(np.float32)
+    action = rng.uniform(-1, 1, (800, 1)).astype(np.float32)
+    data = replace(
+        linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
+        reward=(100 * np.sin(9 * state) + 0.5 * action)[:, 0],
+    )  # fmt: skip
+    config = CriticConfig(width=16, updates=300, batch=64, lr=3e-3, branches=BranchConfig(states=200, actions=4))
+    tried = torch.linspace(-1, 1, 8)[:, None]
+    rising = {}
+    for weight in (0.0, 1.0):
+        critic = fitted(data, config.model_copy(update={"within_state": weight}))
+        q = critic(torch.full((8, 1), 0.3), tried).mean(0).detach().numpy()
+        rising[weight] = quality.rank_correlations(q[None], tried.T.numpy())[0]
+    assert rising[1.0] > 0.95 > rising[0.0] or rising[1.0] > 0.99
+
+
+def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
+    data = concatenate([linear_problem(60), replace(linear_problem(12), branch=np.repeat(np.arange(4), 3))])
+    whole = FittedQ(data, TINY, 0.9, CPU)
+    for _ in range(11):
+        whole.update()
+    stopped = FittedQ(data, TINY, 0.9, CPU)
+    for _ in range(7):  # between two refreshes of the targets
+        stopped.update()
+    stopped.save(tmp_path / "fit.safetensors")
+    resumed = FittedQ(data, TINY, 0.9, CPU)
+    resumed.resume(tmp_path / "fit.safetensors")
+    assert resumed.step == 7
+    for _ in range(4):
+        resumed.update()
+    whole.save(tmp_path / "whole.safetensors")
+    resumed.save(tmp_path / "resumed.safetensors")
+    assert (tmp_path / "whole.safetensors").read_bytes() == (tmp_path / "resumed.safetensors").read_bytes()
+
+
+def test_groups_of_unequal_size_are_refused():
+    data = replace(linear_problem(5), branch=np.array([0, 0, 1, 1, 1]))
+    with pytest.raises(ValueError, match="same number of actions"):
+        FittedQ(data, TINY, 0.9, CPU)
+
+
+# -- the ensemble and the aggregate ----------------------------------------------------------------
+
+
+def test_critic_comes_back_as_it_was_saved(tmp_path: Path):
+    critic = a_critic(5, 1)
+    critic.meta = {"task": "myo/reach", "gamma": 0.97}
+    critic.save(tmp_path)
+    loaded = Critic.load(tmp_path)
+    state, action = torch.randn(7, 5), torch.rand(7, 3)
+    assert torch.equal(loaded(state, action), critic(state, action))
+    assert loaded.meta == critic.meta and loaded(state, action).shape == (2, 7)
+    assert float(loaded.spread) == 3.0
+
+
+def test_aggregate_is_each_rows_own_critic_in_its_own_units():
+    critics = [a_critic(size, seed) for seed, size in enumerate((5, 8, 6))]
+    task = torch.tensor([2, 0, 2, 2, 0, 2])  # task 1 is absent, the others are unbalanced
+    action = torch.rand(6, 3) * 2 - 1
+    state = torch.zeros(6, 8)
+    for row, t in enumerate(task):
+        state[row, : critics[t].shape["state_dim"]] = torch.randn(critics[t].shape["state_dim"])
+    q = AggregateCritic(critics, pessimism=0.5)(state, action, task)
+    for row, t in enumerate(task):
+        own = critics[t](state[row : row + 1, : critics[t].shape["state_dim"]], action[row : row + 1])[:, 0]
+        expected = (own.mean() - 0.5 * own.std(correction=0)) / critics[t].spread
+        assert float(q[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize(("members", "pessimism"), [(1, 0.5), (2, 0.0), (2, 1.0)])
+def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: float):
+    critics = [a_critic(4, 0, members), a_critic(6, 1, members)]
+    before = [value.clone() for critic in critics for value in critic.state_dict().values()]
+    aggregate = AggregateCritic(critics, pessimism)
+    aggregate.train()  # a student that calls .train() on all it holds changes nothing
+    state, action = torch.randn(5, 6, requires_grad=True), torch.rand(5, 3, requires_grad=True)
+    aggregate(state, action, torch.tensor([0, 1, 1, 1, 0])).sum().backward()
+    assert action.grad.isfinite().all() and (action.grad.abs().sum(1) > 0).all()
+    assert state.grad is None and not list(aggregate.parameters())
+    assert all(parameter.grad is None for critic in critics for parameter in critic.parameters())
+    assert all(torch.equal(a, b) for a, b in zip(before, [v for c in critics for v in c.state_dict().values()]))
+
+
+def test_aggregate_refuses_what_it_cannot_stack():
+    with pytest.raises(ValueError, match="differ in members"):
+        AggregateCritic([a_critic(4, 0, 1), a_critic(4, 1, 2)], 0.0)
+    with pytest.raises(ValueError, match="task id 2 for 1 critics"):
+        AggregateCritic([a_critic(4, 0)], 0.0)(torch.zeros(1, 4), torch.zeros(1, 3), torch.tensor([2]))
+
+
+# -- perturbations and configuration ---------------------------------------------------------------
+
+
+def test_kinds_keep_their_shares_and_noise_is_as_named():
+    config = PerturbationConfig()
+    given = [kind for kind, _ in zip(kinds(config), range(20))]
+    assert [sum(name == kind for name, _ in given) for kind in ("clean", "gaussian", "bursts")] == [10, 6, 4]
+    assert {scale for name, scale in given if name == "gaussian"} == {0.1, 0.2, 0.4}
+    rng = np.random.default_rng(0)
+    assert not offsets(("clean", 0.0), 50, 3, config, rng).any()
+    assert offsets(("gaussian", 0.2), 4000, 3, config, rng).std() == pytest.approx(0.2, rel=0.05)
+    burst = offsets(("bursts", 0.5), 400, 3, config, rng)
+    followed = ~burst.any(1)
+    assert 0.5 < followed.mean() < 0.95
+    start = int(np.flatnonzero(~followed & np.roll(followed, 1))[1])
+    assert (burst[start : start + config.burst_steps] == burst[start]).all()
+
+
+def test_shares_that_do_not_sum_to_one_are_refused():
+    with pytest.raises(ValidationError, match="make the three shares sum to 1"):
+        PerturbationConfig(clean=0.9)
+    with pytest.raises(ValidationError, match="wdth"):
+        CriticConfig(wdth=1)
+
+
+# -- quality ---------------------------------------------------------------------------------------
+
+
+def test_within_state_correlation_of_perfect_and_shuffled_values():
+    rng = np.random.default_rng(0)
+    returns = rng.standard_normal((200, 16)) - 1000 * rng.random((200, 1))
+    perfect = quality.interval(quality.rank_correlations(3 * returns + 7, returns))
+    assert perfect["mean"] == pytest.approx(1.0) and perfect["states"] == 200
+    shuffled = quality.interval(quality.rank_correlations(rng.permuted(returns, axis=1), returns))
+    assert shuffled["low"] < 0 < shuffled["high"] and abs(shuffled["mean"]) < 0.1
+    # The value of the state alone, the same for all candidates, ranks nothing.
+    assert np.isnan(quality.rank_correlations(np.repeat(returns[:, :1], 16, 1), returns)).all()
+
+
+def test_interval_is_students():
+    found = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
+    assert found["mean"] == pytest.approx(0.2) and found["states"] == 3
+    assert found["high"] - found["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
+
+
+def test_discounted_returns():
+    data = replace(linear_problem(4), reward=np.array([1, 2, 4, 8], np.float32), ends=np.array([3, 4]))
+    assert quality.discounted(data, 0.5).tolist() == [3.0, 4.0, 4.0, 8.0]
+
+
+# -- with the simulator ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lock() -> Lockstep:
+    return Lockstep(TASK, 4, image=False)
+
+
+@pytest.fixture(scope="module")
+def expert(lock: Lockstep) -> Expert:
+    space = lock.envs[0].observation_space["state"]
+    return Expert.random(space.shape[0], 39, seed=0, meta={"gamma": 0.9, "task": TASK.name, "reward_weights": {}})
+
+
+def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, expert: Expert):
+    with QUIET(1, "") as bar:
+        data, visits, given = rollouts(
+            lock, expert, PerturbationConfig(clean=1, gaussian=0, bursts=0), SEEDS.critic_quality, limit=6, beyond=60, episodes=2, visit_rate=1.0, bar=bar
+        )
+        assert len(visits) <= 12 and len(given) == 2
+        lengths = data.ends - data.starts
+        assert (lengths <= 66).all() and (data.terminated[data.ends - 1] == (lengths < 66)).all()  # past the task's 50 steps
+        visit = next(v for v in visits if v.episode == 1)
+        step = data.starts[1] + [v for v in visits if v.episode == 1].index(visit)
+        actions, sources = candidates(expert, [visit], 6, np.random.default_rng(0))
+        tried = branches(lock.envs, expert, [visit], actions, 5, bar)
+    assert sources == ["mean", "sample", "gaussian 0.1", "gaussian 0.2", "gaussian 0.4", "uniform"]
+    assert tried.branch[tried.starts].tolist() == [0] * 6 and (tried.branch == ROLLOUT).sum() == len(tried) - 6
+    own = slice(0, tried.ends[0])
+    # Up to rounding: the expert was asked for two states at a time, and is now asked for four.
+    assert np.allclose(tried.reward[own], data.reward[step : step + tried.ends[0]], atol=1e-4)
+    assert np.allclose(tried.next_state[own], data.next_state[step : step + tried.ends[0]], atol=1e-4)
+    assert np.array_equal(tried.state[tried.starts], np.repeat(visit.state[None], 6, 0))
+    assert np.array_equal(tried.action[tried.starts], actions[0]) and np.abs(tried.action).max() <= 1
+    assert not np.array_equal(tried.next_state[tried.starts[1]], tried.next_state[0])
+
+
+class Interrupting(Progress):
+    """Stops the fit in the middle, as a kill would."""
+
+    def __call__(self, total: int, what: str, done: int = 0):
+        bar = super().__call__(total, what, done)
+        if "fitted" in what:
+            update, bar.calls = bar.update, 0
+
+            def stop(n: int = 1, **shown: float) -> None:
+                update(n, **shown)
+                bar.calls += 1
+                if bar.calls == 7:
+                    raise KeyboardInterrupt
+
+            bar.update = stop
+        return bar
+
+
+def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
+    expert.save(tmp_path)
+    request = CriticRequest(task=TASK, critic=TINY)
+
+    def run(name: str, progress: Progress) -> Path:
+        out, state = tmp_path / name, tmp_path / f"{name}-state"
+        out.mkdir(exist_ok=True)
+        state.mkdir(exist_ok=True)
+        with Metrics(out / "metrics.jsonl") as metrics:
+            fit(request, {"expert": tmp_path}, Context(out, state, metrics, progress, CPU))
+        return out
+
+    whole = run("whole", QUIET)
+    with pytest.raises(KeyboardInterrupt):
+        run("killed", Interrupting(QUIET.stream))
+    resumed = run("killed", QUIET)
+    names = sorted(path.name for path in whole.iterdir())
+    assert names == ["critic.json", "critic.safetensors", "metrics.jsonl", "quality.json", "within_state.csv"]
+    for name in names:
+        assert (whole / name).read_bytes() == (resumed / name).read_bytes(), name
+    found = json.loads((whole / "quality.json").read_text())
+    assert found["within_state"]["candidates"] == 5 and found["within_state"]["states"] <= 4
+    assert found["within_state"]["low"] <= found["within_state"]["mean"] <= found["within_state"]["high"]
+    assert found["spread"] > 0 and found["bellman_error"] > 0
+    assert [row["step"] for row in read(whole / "metrics.jsonl")] == [1, 6, 11]
+    critic = Critic.load(whole)
+    assert critic.meta["task"] == TASK.name and critic.meta["simulator_steps"] >= 60
