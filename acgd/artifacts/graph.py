@@ -174,8 +174,7 @@ def _expert(each: TaskSettings) -> Artifact:
     if each.expert.source == "train":
         return Artifact("expert", slug(each.task), ExpertRequest(task=each.task, expert=each.expert), {})
     request = ExpertRequest(task=each.task, expert=ExpertSettings(source="zoo"))
-    files = tuple(zoo.folder(each.task.name) / name for name in zoo.FILES)
-    return Artifact("expert", slug(each.task), request, {}, files)
+    return Artifact("expert", slug(each.task), request, {}, zoo.files(each.task.name))
 
 
 def _backbone(settings: Settings, tasks: list[TaskConfig], rollouts: tuple[Artifact, ...]) -> Artifact:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
-FILES = ("card.json", "policy.json", "policy.safetensors")
+FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
 
 
 def folder(task: str, root: Path | None = None) -> Path:
@@ -14,3 +14,8 @@ def folder(task: str, root: Path | None = None) -> Path:
 def missing(task: str) -> list[str]:
     """Files that the zoo lacks for a task; none where it has an expert."""
     return [name for name in FILES if not (folder(task) / name).is_file()]
+
+
+def files(task: str) -> tuple[Path, ...]:
+    """The files of a task's expert."""
+    return tuple(folder(task) / name for name in FILES)

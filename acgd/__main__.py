@@ -1,0 +1,123 @@
+"""The command line: `python -m acgd <verb>`. Each verb imports only what it runs."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from acgd.artifacts.store import ArtifactError, Store
+from acgd.artifacts.versions import STAGES
+from acgd.config.load import ConfigError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one verb; 1 where the user has something to mend."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.run(options) or 0
+    except (ConfigError, ArtifactError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m acgd", description="ACGD: experts, critics, demonstrations, students. Stages are run by snakemake.")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
+
+    for stage in STAGES:
+        verb = verbs.add_parser(stage, help=f"make one artifact of the stage {stage} (the workflow calls this)")
+        verb.add_argument("--request", required=True, help="what to make, as JSON")
+        verb.add_argument("--threads", type=int, default=1)
+        verb.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+        verb.set_defaults(run=_make)
+
+    verb = verbs.add_parser("check", help="validate studies, and list what each has yet to make")
+    _studies(verb, "check")
+    verb = verbs.add_parser("ls", help="list the artifacts in the store")
+    _studies(verb, "list_store")
+    verb = verbs.add_parser("gc", help="free what no study names")
+    verb.add_argument("--yes", action="store_true", help="do it, instead of saying what would be done")
+    _studies(verb, "free", "yes")
+    verb = verbs.add_parser("verify", help="reread every checksum")
+    verb.add_argument("--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them anew")
+    verb.set_defaults(run=_verify)
+    verb = verbs.add_parser("mlflow-sync", help="bring MLflow up to date with the artifacts")
+    verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files")
+    verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
+    verb.set_defaults(run=_mirror)
+    verb = verbs.add_parser("publish", help="put report and names of a study into results/<study>/ (the workflow calls this)")
+    verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
+    verb.set_defaults(run=_publish)
+    verb = verbs.add_parser("schema", help="write docs/configuration.md and docs/schema.json")
+    verb.add_argument("--docs", type=Path, default=Path("docs"))
+    verb.set_defaults(run=_schema)
+    for verb in verbs.choices.values():
+        verb.add_argument("--store", type=Path, default=Path("results"), metavar="results", help="folder of the results (default: results)")
+
+    from acgd.experts import zoo_commands
+
+    zoo_commands.add_parser(verbs)
+    return parser
+
+
+def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
+    verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
+
+    def run(options: argparse.Namespace) -> None:
+        from acgd.artifacts import commands
+
+        getattr(commands, command)(Store(options.store), options.studies, *(getattr(options, name) for name in extra))
+
+    verb.set_defaults(run=run)
+
+
+def _make(options: argparse.Namespace) -> None:
+    from acgd.artifacts.job import make, parse
+
+    make(parse(options.request), Store(options.store), options.threads, options.device)
+
+
+def _verify(options: argparse.Namespace) -> None:
+    from acgd.artifacts.commands import verify
+
+    verify(Store(options.store), options.repair)
+
+
+def _mirror(options: argparse.Namespace) -> None:
+    from acgd.artifacts import commands, names
+
+    store = Store(options.store)
+    if options.configuration is None:
+        commands.mirror(store, commands.plans(options.studies))
+        return
+    plan = _planned(options.configuration)
+    commands.mirror(store, [plan])
+    names.write(store, plan, names.MLFLOW)
+
+
+def _publish(options: argparse.Namespace) -> None:
+    from acgd.artifacts import names
+
+    print(f"report: {names.publish(Store(options.store), _planned(options.configuration))}")
+
+
+def _planned(configuration: str):
+    from acgd.artifacts.graph import plan
+    from acgd.config.study import load_study
+
+    return plan(load_study(json.loads(configuration)))
+
+
+def _schema(options: argparse.Namespace) -> None:
+    from acgd.config.reference import write
+
+    write(options.docs)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,15 @@
+# What a policy that sees little, or all, does from the same starts.
+rule controls:
+    input:
+        upstream("controls"),
+    output:
+        output("controls"),
+    log:
+        log_of("controls"),
+    benchmark:
+        benchmark_of("controls")
+    params:
+        request=request("controls"),
+    threads: 1
+    shell:
+        MAKE

@@ -1,0 +1,15 @@
+# A frozen backbone, applied once to every frame of one task.
+rule features:
+    input:
+        upstream("features"),
+    output:
+        output("features"),
+    log:
+        log_of("features"),
+    benchmark:
+        benchmark_of("features")
+    params:
+        request=request("features"),
+    threads: 1
+    shell:
+        MAKE

@@ -1,0 +1,12 @@
+# One process mirrors the whole study: importing mlflow costs seconds. It never fails.
+rule mlflow:
+    input:
+        ancient([manifest(artifact) for artifact in PLAN.artifacts.values()]),
+    output:
+        MIRRORED,
+    log:
+        f"results/logs/mlflow-{STUDY.name}.log",
+    params:
+        configuration=CONFIGURATION,
+    shell:
+        ACGD + " mlflow-sync --configuration {params.configuration:q} 2>&1 | tee {log}"

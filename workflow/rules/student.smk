@@ -1,0 +1,15 @@
+# Stage (b): one student of all tasks, with or without the critics.
+rule student:
+    input:
+        upstream("student"),
+    output:
+        output("student"),
+    log:
+        log_of("student"),
+    benchmark:
+        benchmark_of("student")
+    params:
+        request=request("student"),
+    threads: 1
+    shell:
+        MAKE
