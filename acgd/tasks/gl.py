@@ -13,7 +13,7 @@ import importlib
 import os
 import sys
 
-INSTALL = "apt-get install libegl1 libgl1-mesa-dri"
+INSTALL = "apt-get install libegl1 libopengl0 libgl1-mesa-dri"
 _BACKENDS = ("egl", "osmesa", "glfw")
 
 
@@ -35,8 +35,7 @@ def backend() -> str:
 def context():
     """The process's one OpenGL context (`mujoco.egl.GLContext` or its like), made on first use.
 
-    A context costs some 50 ms and some 30 MB, so that all tasks of a process draw in this one, each into its own
-    framebuffer. It belongs to the thread that draws.
+    All tasks of a process draw in it, each into its own framebuffer. It belongs to the thread that draws.
     """
     name = backend()
     os.environ.setdefault("LP_NUM_THREADS", "0")
