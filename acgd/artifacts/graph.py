@@ -85,6 +85,8 @@ class Plan:
 
     def names_of(self, artifact: Artifact) -> list[str]:
         """The most telling names of an artifact: those that mean it alone, where there are any."""
+        if artifact is self.report:
+            return ["report"]
         named = [name for name, artifacts in self.names.items() if artifact in artifacts]
         alone = [name for name in named if len(self.names[name]) == 1]
         items = [name for name in alone if name.count("/") == 2]

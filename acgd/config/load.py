@@ -136,7 +136,7 @@ def _mend_unknown(model: type[BaseModel], root: type[BaseModel], place: Sequence
 def _places(model: type[BaseModel], prefix: tuple[str, ...] = ()) -> Iterable[tuple[str, ...]]:
     for name, field in model.model_fields.items():
         yield (*prefix, name)
-        inner = _as_model(field.annotation)
+        inner = as_model(field.annotation)
         if inner:
             yield from _places(inner, (*prefix, name))
 
@@ -145,22 +145,23 @@ def _model_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseMo
     """The section that holds the key at `place`."""
     current: Any = model
     for part in place:
-        section = _as_model(current)
+        section = as_model(current)
         if section is not None and part in section.model_fields:
             current = section.model_fields[part].annotation
         else:
             arguments = get_args(current)
             current = arguments[-1] if arguments and arguments[-1] is not Ellipsis else arguments[0] if arguments else None
-    return _as_model(current)
+    return as_model(current)
 
 
-def _as_model(annotation: Any) -> type[BaseModel] | None:
+def as_model(annotation: Any) -> type[BaseModel] | None:
+    """The section that a field holds, if it holds one."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if get_origin(annotation) is Annotated:
-        return _as_model(get_args(annotation)[0])
+        return as_model(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
-        return next(filter(None, map(_as_model, get_args(annotation))), None)
+        return next(filter(None, map(as_model, get_args(annotation))), None)
     return None
 
 

@@ -28,8 +28,8 @@ class TrainingConfig(Section):
     )
     precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training")
     validate_every: Positive = Field(200, description="steps between validations; the best of them is kept")
-    log_every: Positive = Field(100, description="steps between rows of metrics")
-    checkpoint_every: Positive = Field(500, description="steps between checkpoints for resumption")
+    log_every: Positive = Field(100, description="steps between rows of metrics", json_schema_extra={"key": False})
+    checkpoint_every: Positive = Field(500, description="steps between checkpoints for resumption", json_schema_extra={"key": False})
 
 
 class CodebookConfig(Section):

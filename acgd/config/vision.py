@@ -37,7 +37,7 @@ class BackboneConfig(Section):
     frames: int = Field(4000, ge=1, description="privileged: at most so many training frames a task, evenly spaced.")
     precision: Literal["float32", "bfloat16"] = Field("bfloat16", description="privileged: arithmetic of the convolutions in training.")
     seed: int = Field(0, ge=0, description="privileged: initialisation, order of frames and augmentation.")
-    checkpoint_every: int = Field(500, ge=1, description="privileged: steps between two checkpoints.")
+    checkpoint_every: int = Field(500, ge=1, description="privileged: steps between two checkpoints.", json_schema_extra={"key": False})
 
     @model_validator(mode="after")
     def _path_where_needed(self) -> "BackboneConfig":

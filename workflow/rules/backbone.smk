@@ -2,6 +2,8 @@
 rule backbone:
     input:
         upstream("backbone"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("backbone"),
     log:
@@ -10,6 +12,7 @@ rule backbone:
         benchmark_of("backbone")
     params:
         request=request("backbone"),
+        known_as=known_as("backbone"),
     threads: 1
     shell:
         MAKE

@@ -2,6 +2,8 @@
 rule codebook:
     input:
         upstream("codebook"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("codebook"),
     log:
@@ -10,6 +12,7 @@ rule codebook:
         benchmark_of("codebook")
     params:
         request=request("codebook"),
+        known_as=known_as("codebook"),
     threads: 1
     shell:
         MAKE

@@ -2,6 +2,8 @@
 rule controls:
     input:
         upstream("controls"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("controls"),
     log:
@@ -10,6 +12,7 @@ rule controls:
         benchmark_of("controls")
     params:
         request=request("controls"),
+        known_as=known_as("controls"),
     threads: 1
     shell:
         MAKE

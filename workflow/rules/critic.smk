@@ -2,6 +2,8 @@
 rule critic:
     input:
         upstream("critic"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("critic"),
     log:
@@ -10,6 +12,7 @@ rule critic:
         benchmark_of("critic")
     params:
         request=request("critic"),
+        known_as=known_as("critic"),
     threads: 1
     shell:
         MAKE

@@ -2,6 +2,8 @@
 rule evaluation:
     input:
         upstream("evaluation"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("evaluation"),
     log:
@@ -10,6 +12,7 @@ rule evaluation:
         benchmark_of("evaluation")
     params:
         request=request("evaluation"),
+        known_as=known_as("evaluation"),
     threads: 1
     shell:
         MAKE

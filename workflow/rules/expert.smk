@@ -2,6 +2,8 @@
 rule expert:
     input:
         upstream("expert"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("expert"),
     log:
@@ -10,6 +12,7 @@ rule expert:
         benchmark_of("expert")
     params:
         request=request("expert"),
+        known_as=known_as("expert"),
     threads: 1
     shell:
         MAKE

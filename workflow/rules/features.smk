@@ -2,6 +2,8 @@
 rule features:
     input:
         upstream("features"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("features"),
     log:
@@ -10,6 +12,7 @@ rule features:
         benchmark_of("features")
     params:
         request=request("features"),
+        known_as=known_as("features"),
     threads: 1
     shell:
         MAKE

@@ -2,6 +2,8 @@
 rule report:
     input:
         upstream("report"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("report"),
     log:
@@ -10,6 +12,7 @@ rule report:
         benchmark_of("report")
     params:
         request=request("report"),
+        known_as=known_as("report"),
     threads: 1
     shell:
         MAKE

@@ -2,6 +2,8 @@
 rule rollouts:
     input:
         upstream("rollouts"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("rollouts"),
     log:
@@ -10,6 +12,7 @@ rule rollouts:
         benchmark_of("rollouts")
     params:
         request=request("rollouts"),
+        known_as=known_as("rollouts"),
     threads: 1
     shell:
         MAKE

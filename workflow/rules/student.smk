@@ -2,6 +2,8 @@
 rule student:
     input:
         upstream("student"),
+    message:
+        "{rule}: {params.known_as}"
     output:
         output("student"),
     log:
@@ -10,6 +12,7 @@ rule student:
         benchmark_of("student")
     params:
         request=request("student"),
+        known_as=known_as("student"),
     threads: 1
     shell:
         MAKE
