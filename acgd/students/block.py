@@ -24,11 +24,14 @@ class Block(nn.Module):
         )
 
     def forward(self, tokens: Tensor, context: Tensor | None = None) -> Tensor:
-        """tokens (B, n, d), context (B, m, d) or None -> (B, n, d)."""
-        queries = self.norm_attention(tokens)
-        sources = queries if context is None else torch.cat([context, queries], dim=1)
-        key, value = self.key_value(sources).chunk(2, dim=-1)
-        attended = F.scaled_dot_product_attention(self._split(self.query(queries)), self._split(key), self._split(value))
+        """tokens (B, n, d), context (B, m, d) or None -> (B, n, d). Tokens (1, n, d) are shared by all rows of the context."""
+        normed = self.norm_attention(tokens)
+        query, sources = self.query(normed), self.key_value(normed)
+        if context is not None:
+            query, sources = (x.expand(len(context), -1, -1) for x in (query, sources))
+            sources = torch.cat([self.key_value(context), sources], dim=1)
+        key, value = sources.chunk(2, dim=-1)
+        attended = F.scaled_dot_product_attention(self._split(query), self._split(key), self._split(value))
         tokens = tokens + self.out(attended.transpose(1, 2).flatten(2))
         return tokens + self.feedforward(self.norm_feedforward(tokens))
 

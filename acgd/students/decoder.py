@@ -23,7 +23,7 @@ class Decoder(nn.Module):
     def forward(self, z_q: Tensor, z_state: Tensor, z_task: Tensor) -> Tensor:
         """Each (B, d) -> action chunk (B, k, A)."""
         context = self.norm_context(torch.stack([z_q, z_state, z_task], dim=1))
-        tokens = self.queries.expand(len(z_q), -1, -1)
+        tokens = self.queries[None]
         for block in self.blocks:
             tokens = block(tokens, context)
         return self.head(self.norm(tokens)).float().tanh()
