@@ -32,7 +32,7 @@ LOCK_WAIT_S = 60.0
 METRICS_A_CALL, PARAMS_A_CALL, LONGEST_VALUE = 1000, 100, 5000
 """MLflow's limits; a longer parameter or tag is cut."""
 FIGURES = (".svg", ".png")
-NOT_RESULTS = ("manifest.json", "run.json")
+NOT_RESULTS = ("manifest.json", "checksums.json", "run.json")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,163 @@
+"""What the finished default study cost, from the run.json of its artifacts, and what one more variant would: `python -m benchmarks.study`."""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import yaml
+
+from acgd.artifacts.graph import plan
+from acgd.artifacts.store import RUN, Store
+from acgd.config.load import read_yaml
+from acgd.config.study import load_study
+
+MOST_MINUTES, MOST_GB = 20.0, 6.0
+LONGEST_PAUSE_S = 60.0
+"""Between two stages lie the start of a process and Snakemake's own work. A longer gap is a user who came back later."""
+WORKFLOW_JOBS = {"all", "publish", "mlflow", "report"}
+VARIANT_JOBS = {"student", "evaluation"}
+"""What a variant that changes a student setting runs, besides."""
+
+
+class Row(TypedDict):
+    name: str
+    value: float
+    unit: str
+    ratio: float | None
+    target: str
+    met: bool | None
+
+
+class NotMeasured(Exception):
+    """There is nothing to measure yet; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What run.json says of the making of one artifact."""
+
+    stage: str
+    started: float
+    """Seconds since 1970."""
+    seconds: float
+    peak_bytes: int
+    resumed: bool
+
+    @property
+    def ended(self) -> float:
+        return self.started + self.seconds
+
+
+def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> list[Row]:
+    """Minutes and memory of the study, seconds of each stage (`ratio`: its share of all), and the jobs of one more variant."""
+    jobs = _jobs(config, results)
+    seconds = busy_seconds(jobs)
+    gigabytes = peak_bytes(jobs) / 1e9
+    resumed = sum(job.resumed for job in jobs)
+    note = f" ({resumed} stages went on after a stop: only their last part is counted)" if resumed else ""
+    rows = [
+        Row(
+            name="study/wall time",
+            value=seconds / 60,
+            unit="min",
+            ratio=seconds / 60 / MOST_MINUTES,
+            target=f"<= {MOST_MINUTES:.0f} min on two cores{note}",
+            met=seconds / 60 <= MOST_MINUTES,
+        ),
+        Row(
+            name="study/peak memory of stages at once",
+            value=gigabytes,
+            unit="GB",
+            ratio=gigabytes / MOST_GB,
+            target=f"< {MOST_GB:.0f} GB",
+            met=gigabytes < MOST_GB,
+        ),
+    ]
+    by_stage: dict[str, list[float]] = defaultdict(list)
+    for job in jobs:
+        by_stage[job.stage].append(job.seconds)
+    worked = sum(job.seconds for job in jobs)
+    for stage, times in by_stage.items():
+        rows.append(Row(name=f"study/{stage} x {len(times)}", value=sum(times), unit="s", ratio=sum(times) / worked, target="", met=None))
+    return [*rows, _one_more_variant(config, results, len(jobs))]
+
+
+def busy_seconds(jobs: Iterable[Job]) -> float:
+    """From the first start to the last end, without the pauses in which nobody ran the workflow."""
+    total, until = 0.0, None
+    for job in sorted(jobs, key=lambda job: job.started):
+        if until is not None and job.started > until:
+            total += job.started - until if job.started - until <= LONGEST_PAUSE_S else 0.0
+        begin = job.started if until is None else max(job.started, until)
+        total += max(0.0, job.ended - begin)
+        until = job.ended if until is None else max(until, job.ended)
+    return total
+
+
+def peak_bytes(jobs: Iterable[Job]) -> int:
+    """The largest sum of the peaks of stages that ran at the same time: never less than what was really held."""
+    events = sorted([(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs])
+    held = peak = 0
+    for _, _, change in events:
+        held += change
+        peak = max(peak, held)
+    return peak
+
+
+def _jobs(config: Path, results: Path) -> list[Job]:
+    study, store = load_study(read_yaml(config)), Store(results)
+    needed = plan(study).artifacts
+    missing = [place for place in needed if not store.has(place)]
+    if missing:
+        raise NotMeasured(f"{len(missing)} of {len(needed)} artifacts of study {study.name} are not made yet. Type: make demo")
+    return [_job(artifact.stage, store.path(place) / RUN) for place, artifact in needed.items()]
+
+
+def _job(stage: str, file: Path) -> Job:
+    run = json.loads(file.read_text(encoding="utf-8"))
+    return Job(stage, run["started"], run["wall_s"], run["peak_rss_bytes"], run["resumed"])
+
+
+def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
+    """A dry run of the finished study with another alpha as a further variant."""
+    content = read_yaml(config)
+    content["variants"] = {**content.get("variants", {}), "one-more": {"student": {"alpha": 1.2345}}}
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+        yaml.safe_dump(content, file, sort_keys=False)
+        file.flush()
+        jobs = dry_run(Path(file.name), results.resolve().parent)
+    seeds = len(load_study(content).seeds)
+    own = sum(jobs[rule] for rule in VARIANT_JOBS)
+    foreign = {rule: count for rule, count in jobs.items() if rule not in VARIANT_JOBS | WORKFLOW_JOBS}
+    return Row(
+        name="study/jobs of one more variant",
+        value=own,
+        unit="jobs",
+        ratio=own / artifacts,
+        target=f"{seeds} students and their evaluations, nothing upstream{': but ' + str(foreign) if foreign else ''}",
+        met=not foreign and own == len(VARIANT_JOBS) * seeds,
+    )
+
+
+def dry_run(config: Path, folder: Path) -> Counter[str]:
+    """Rule -> number of jobs that Snakemake would run in `folder`."""
+    snakefile = Path(__file__).parent.parent / "workflow" / "Snakefile"
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--directory", str(folder), "--configfile", str(config.resolve())]
+    done = subprocess.run([*command, "--cores", "2", "--dry-run", "--nolock", "all"], capture_output=True, text=True, check=False)
+    text = done.stdout + done.stderr
+    if done.returncode:
+        raise RuntimeError(f"snakemake's dry run failed:\n{text}")
+    table = re.search(r"^job\s+count\n-.*\n((?:\S+\s+\d+\n)+)", text, re.MULTILINE)
+    return Counter({rule: int(count) for rule, count in re.findall(r"^(\S+)\s+(\d+)$", table[1], re.MULTILINE) if rule != "total"} if table else {})
+
+
+if __name__ == "__main__":
+    for row in run():
+        print(row)
