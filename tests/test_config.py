@@ -1,0 +1,146 @@
+"""What is wrong with a configuration is said in one line: the key, the nearest name, the mend. Nothing runs."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acgd.config import reference
+from acgd.config.load import ConfigError, merge, read_yaml
+from acgd.config.study import Study, load_study
+from acgd.config.variants import expanded
+
+ROOT = Path(__file__).parents[1]
+TRAINED = {"expert": {"source": "train"}}
+
+MALFORMED = [
+    pytest.param({"studnet": {}}, ["studnet", "Nearest: student"], id="unknown section"),
+    pytest.param({"student": {"guidence": "none"}}, ["student.guidence", "Nearest: guidance", "Rename"], id="unknown key"),
+    pytest.param({"student": {"training": {"lr": 1}}}, ["student.training.lr", "Nearest: learning_rate"], id="abbreviation"),
+    pytest.param({"student": {"chunk": 8}}, ["student.chunk", "codebook.chunk", "Move it there"], id="key of another section"),
+    pytest.param({"student": {"guidance": "critics"}}, ["student.guidance", "'critics'", "Nearest: critic"], id="no such choice"),
+    pytest.param({"student": 3}, ["student: should be a map", "3"], id="section is no map"),
+    pytest.param({"rollouts": {"demonstrations": "many"}}, ["rollouts.demonstrations", "whole number", "'many'", "default, 30"], id="wrong type"),
+    pytest.param({"rollouts": {"demonstrations": 0}}, ["rollouts.demonstrations", "greater than or equal to 1", "not 0"], id="out of range"),
+    pytest.param({"student": {"alpha": float("nan")}}, ["student.alpha", "nan"], id="not a number"),
+    pytest.param({"tasks": ["myo/reech"]}, ["tasks", "'myo/reech' is no task", "Nearest: myo/reach"], id="impossible task"),
+    pytest.param({"tasks": []}, ["tasks", "at least 1"], id="no task"),
+    pytest.param({"tasks": "myo/reach"}, ["tasks: should be a list", "'myo/reach'"], id="task is no list"),
+    pytest.param({"tasks": ["myo/reach"] * 2}, ["tasks", "twice"], id="task twice"),
+    pytest.param({"seeds": [0, 0]}, ["seeds", "twice"], id="seed twice"),
+    pytest.param({"seeds": [-1]}, ["seeds", "-1", "count from 0"], id="negative seed"),
+    pytest.param({"backbone": {"kind": "r3m"}}, ["backbone", "backbone.path"], id="weights not named"),
+    pytest.param({"backbone": {"kind": "r3m", "path": "no/model.pt"}}, ["backbone.path", "no/model.pt does not exist"], id="missing file"),
+    pytest.param({"evaluation": {"conditions": [{"goal": "x"}]}}, ["evaluation.conditions[0].goal", "oracle"], id="inside a list"),
+    pytest.param({"overrides": {"myo/reech": {}}}, ["overrides.myo/reech", "not in tasks", "Nearest: myo/reach"], id="override of no task"),
+    pytest.param({"overrides": {"myo/reach": {"expert": {"ppo": {"stepz": 1}}}}}, ["overrides.myo/reach.expert.ppo.stepz", "Nearest: steps"], id="override"),
+    pytest.param({"overrides": {"myo/reach": {"student": {}}}}, ["overrides.myo/reach.student", "unknown key"], id="override of a shared stage"),
+    pytest.param({"variants": {"a": {"student": {"alfa": 1}}}}, ["variants.a.student.alfa", "Nearest: alpha"], id="variant"),
+    pytest.param({"variants": {"a": {"codebook": {"width": 30}}}}, ["variants.a.codebook", "no multiple of heads"], id="merged variant"),
+    pytest.param(
+        {"variants": {"a": {"overrides": {"myo/reach": {"critic": {"stepz": 1}}}}}}, ["variants.a", "myo/reach.critic.stepz", "Nearest: steps"], id="variant's override"
+    ),
+    pytest.param({"variants": {"a": {"backbone": {"kind": "r3m", "path": "no.pt"}}}}, ["variants.a: backbone.path", "no.pt"], id="variant's file"),
+    pytest.param({"variants": {"a": {"tasks": ["myo/pose"]}}}, ["variants.a.tasks", "a study of its own"], id="variant of tasks"),
+    pytest.param({"variants": {"a": {"student": {"alpha": {"expand": 3}}}}}, ["variants", "student.alpha", "expand: [first, second"], id="expand over no list"),
+    pytest.param({"variants": {"a/b": {}}}, ["variants", "'a/b' becomes a folder"], id="name of a variant"),
+    pytest.param({"name": "store"}, ["name", "'store'", "none of"], id="name of the study"),
+    pytest.param({"variants": {"acgd": {}}, "report": {"baseline": "agcd"}}, ["report.baseline", "Nearest: acgd"], id="baseline"),
+]
+
+
+@pytest.mark.parametrize("content, said", MALFORMED)
+def test_malformed_configuration_is_refused_with_its_mend(content, said):
+    with pytest.raises(ConfigError) as caught:
+        load_study(merge(TRAINED, content))
+    for part in said:
+        assert part in str(caught.value)
+
+
+def test_every_fault_has_its_line():
+    with pytest.raises(ConfigError) as caught:
+        load_study({"studnet": {}, "critic": {"members": "x"}})
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("acgd.config.zoo.ROOT", tmp_path)
+    stocked = tmp_path / "myo-pose"
+    stocked.mkdir()
+    for name in ("policy.safetensors", "policy.json", "card.json", "curve.csv"):
+        (stocked / name).write_bytes(b"x")
+    with pytest.raises(ConfigError, match="expert.source: zoo/ has no expert for myo/reach.*expert.source: train.*myo/pose"):
+        load_study({"tasks": ["myo/reach"]})
+    load_study({"tasks": ["myo/pose"]})
+
+
+@pytest.mark.parametrize("text, said", [("a: [", "not readable"), ("- 1", "a list"), ("", "nothing")])
+def test_unreadable_file(tmp_path, text, said):
+    file = tmp_path / "study.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        read_yaml(file)
+
+
+def test_missing_file_names_the_nearest(tmp_path):
+    (tmp_path / "table2.yaml").touch()
+    with pytest.raises(ConfigError, match="table2.yaml"):
+        read_yaml(tmp_path / "tabel2.yaml")
+
+
+def test_strings_of_the_command_line_become_numbers():
+    """snakemake --config 'student={training: {steps: 7}}' gives the text '7'."""
+    study = load_study({**TRAINED, "student": {"training": {"steps": "7", "learning_rate": "1e-3"}}, "evaluation": {"clips": "false"}})
+    assert study.student.training.steps == 7 and study.student.training.learning_rate == 1e-3 and study.evaluation.clips is False
+
+
+def test_a_study_cannot_be_changed():
+    study = load_study(TRAINED)
+    with pytest.raises(ValueError, match="frozen"):
+        study.name = "other"
+
+
+def test_variants_merge_maps_replace_lists_and_keep_the_base():
+    base = {**TRAINED, "student": {"alpha": 2.0}, "critic": {"perturbation": {"scales": [0.1, 0.2]}}}
+    study = load_study({**base, "variants": {"a": {"student": {"guidance": "none"}, "critic": {"perturbation": {"scales": [0.3]}}}, "b": {}}})
+    a, b = study.resolved["a"], study.resolved["b"]
+    assert (a.student.alpha, a.student.guidance, a.critic.perturbation.scales) == (2.0, "none", (0.3,))
+    assert (b.student.guidance, b.critic.perturbation.scales) == ("critic", (0.1, 0.2))
+
+
+def test_one_task_can_differ_from_the_others():
+    study = load_study({**TRAINED, "tasks": ["myo/reach", "myo/pose"], "overrides": {"myo/pose": {"critic": {"members": 5}, "task": {"start": "nominal"}}}})
+    reach, pose = study.resolved["base"].each_task
+    assert (reach.critic.members, pose.critic.members, reach.task.start, pose.task.start) == (2, 5, "perturbed", "nominal")
+
+
+def test_expand_gives_every_combination_by_name():
+    variants = expanded({"a": {"x": {"y": {"expand": [1, "two"]}, "z": {"expand": [0.5, None]}}}, "b": {}})
+    assert list(variants) == ["a-y-1-z-0.5", "a-y-1-z-null", "a-y-two-z-0.5", "a-y-two-z-null", "b"]
+    assert variants["a-y-two-z-0.5"] == {"x": {"y": "two", "z": 0.5}}
+
+
+def test_a_study_survives_the_way_to_json_and_back():
+    """Jobs get the configuration as JSON."""
+    content = {**TRAINED, "seeds": [3], "variants": {"a": {"student": {"alpha": {"expand": [1, 2]}}}}}
+    assert load_study(json.loads(json.dumps(content))) == load_study(content)
+
+
+def test_the_studies_that_are_shipped_are_valid(monkeypatch):
+    monkeypatch.setattr("acgd.config.zoo.missing", lambda task: [])
+    for file in [ROOT / "config.yaml", *sorted((ROOT / "studies").glob("*.yaml"))]:
+        load_study(read_yaml(file))
+
+
+@pytest.mark.parametrize("name, text", [("configuration.md", reference.markdown()), ("schema.json", reference.schema())])
+def test_the_reference_is_that_of_the_models(name, text):
+    assert (ROOT / "docs" / name).read_text() == text, "the models have changed; type: python -m acgd schema"
+
+
+def test_every_field_is_described():
+    lacking = [line for line in reference.markdown().splitlines() if line.startswith("| `") and line.endswith("|  |")]
+    assert not lacking
+
+
+def test_the_schema_is_of_the_whole_study():
+    assert set(json.loads(reference.schema())["properties"]) == set(Study.model_fields)
