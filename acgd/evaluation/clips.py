@@ -3,6 +3,7 @@
 import subprocess
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 
 from acgd.config.task import TaskConfig
@@ -16,12 +17,16 @@ LAST_FRAME_S = 0.6
 """How long the last frame, on which `final` success is decided, stays."""
 
 
-def film(path: Path, task: TaskConfig, episode: Episode, actions: np.ndarray) -> None:
+def filming(task: TaskConfig) -> gymnasium.Env:
+    """An environment of the task whose pictures are SIZE pixels a side."""
+    return registry.make(task.model_copy(update={"image_size": SIZE}), image=False)
+
+
+def film(path: Path, env: gymnasium.Env, episode: Episode, actions: np.ndarray) -> None:
     """Runs the episode again from its seed with its actions (steps, A), and writes it as mp4.
 
     Raises RuntimeError if it ends differently, since then the simulation does not repeat and no result here would.
     """
-    env = registry.make(task.model_copy(update={"image_size": SIZE}), image=False)
     every = max(1, round(1 / (FRAMES_PER_S * env.control_step)))
     env.reset(seed=episode.seed)
     frames = [env.render().copy()]
@@ -30,7 +35,7 @@ def film(path: Path, task: TaskConfig, episode: Episode, actions: np.ndarray) ->
         if step % every == 0 or step == len(actions):
             frames.append(env.render().copy())
     if info["success"] != {"final": episode.final, "held": episode.held, "once": episode.once}:
-        raise RuntimeError(f"{task.name}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat")
+        raise RuntimeError(f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat")
     rate = 1 / (every * env.control_step)
     write_mp4(path, np.stack(frames + [frames[-1]] * round(LAST_FRAME_S * rate)), rate)
 

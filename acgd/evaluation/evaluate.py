@@ -8,7 +8,7 @@ import numpy as np
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.evaluation import EvaluationRequest
 from acgd.config.task import TaskConfig
-from acgd.evaluation.clips import film
+from acgd.evaluation.clips import film, filming
 from acgd.evaluation.episodes import Episode, Label, Policy, padded, run, seeds_of, write
 from acgd.evaluation.goals import oracle_goals, training_goals
 from acgd.evaluation.summary import RULES, write_summary
@@ -44,12 +44,14 @@ def evaluate(config: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     episodes: dict[Round, list[Episode]] = {}
     with ctx.progress(sum(len(r.seeds) for r in rounds), "evaluating") as bar:
         for start in dict.fromkeys(r.task for r in rounds):
+            here = [r for r in rounds if r.task == start]
+            goals = {this: goal_images(this, inputs, settings.lockstep) for this in here}
             lock = Lockstep(start, settings.lockstep, image=True)
-            for this in (r for r in rounds if r.task == start):
+            for this in here:
 
                 def policy(batch: list[int], this: Round = this) -> Policy:
-                    goals = goal_images(this, batch, inputs, settings.lockstep)
-                    return StudentPolicy(actor, this.place, batch, goals, settings.lockstep, shuffled=this.label.image_features == "shuffled")
+                    images = None if goals[this] is None else goals[this][[this.seeds.index(seed) for seed in batch]]
+                    return StudentPolicy(actor, this.place, batch, images, settings.lockstep, shuffled=this.label.image_features == "shuffled")
 
                 episodes[this], actions = run(lock, list(this.seeds), policy, this.label, ctx.state, bar)
                 if settings.clips and this in headline:
@@ -89,18 +91,19 @@ class StudentPolicy:
         return actions[: len(image)]
 
 
-def goal_images(this: Round, batch: list[int], inputs: Inputs, size: int) -> np.ndarray | None:
-    """The goal images (m, H, W, 3) of a batch of seeds, or None for a student without a goal."""
+def goal_images(this: Round, inputs: Inputs, size: int) -> np.ndarray | None:
+    """The goal images (E, H, W, 3) uint8 of a round's seeds, or None for a student without a goal."""
     if this.label.goal == "training":
-        return training_goals(inputs["rollouts"][this.place], batch)
+        return training_goals(inputs["rollouts"][this.place], this.seeds)
     if this.label.goal == "oracle":
-        return oracle_goals(this.task, Expert.load(inputs["experts"][this.place]), batch, size)
+        return oracle_goals(this.task, Expert.load(inputs["experts"][this.place]), this.seeds, size)
     return None
 
 
 def film_both(folder: Path, task: TaskConfig, episodes: list[Episode], actions: dict[int, np.ndarray]) -> None:
     """A clip of the first `final` success and one of the first failure, where there is one."""
+    camera = filming(task)
     for name, wanted in (("success", True), ("failure", False)):
         episode = next((e for e in episodes if e.final == wanted), None)
         if episode is not None:
-            film(folder / f"{TASKS[task.name].slug}-{name}.mp4", task, episode, actions[episode.seed])
+            film(folder / f"{TASKS[task.name].slug}-{name}.mp4", camera, episode, actions[episode.seed])

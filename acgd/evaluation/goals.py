@@ -1,5 +1,6 @@
 """Goal images o_T: the end of a demonstration, or of the expert's own run from the same seed (paper III-A; docs/deviations.md)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +17,18 @@ def demonstration_for(seed: int, demonstrations: int) -> int:
     return int(np.random.default_rng([seed, 2]).integers(demonstrations))
 
 
-def training_goals(rollouts: Path, seeds: list[int]) -> np.ndarray:
+def training_goals(rollouts: Path, seeds: Sequence[int]) -> np.ndarray:
     """(m, H, W, 3) uint8: for each seed the last frame of a demonstration."""
     images = Demonstrations.load(rollouts, ["final_image"]).arrays["final_image"]
     return images[[demonstration_for(seed, len(images)) for seed in seeds]]
 
 
-def oracle_goals(task: TaskConfig, expert: Expert, seeds: list[int], size: int) -> np.ndarray:
+def oracle_goals(task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int) -> np.ndarray:
     """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
     lock = Lockstep(task, size, image=False)
     images = []
     for at in range(0, len(seeds), size):
-        batch = seeds[at : at + size]
+        batch = list(seeds[at : at + size])
         roll(lock, batch, expert_policy(expert, size), Label("expert", task.name, "none", "none", task.start))
         images += [env.render() for env in lock.envs[: len(batch)]]
     return np.stack(images)
