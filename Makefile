@@ -7,7 +7,6 @@
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 CORES ?= 2
-CONFIG ?= config.yaml
 
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
 INSTALLED := .venv/.installed
@@ -15,7 +14,8 @@ INSTALLED := .venv/.installed
 .PHONY: demo test bench docs venv lock system
 
 demo: venv
-	snakemake --cores $(CORES) --configfile $(CONFIG) all
+	snakemake --cores $(CORES) all
+	@echo "The report: $(CURDIR)/results/$$(python -c 'import yaml; print(yaml.safe_load(open("config.yaml"))["name"])')/report.html"
 
 test: venv
 	python -m pytest tests
@@ -24,7 +24,7 @@ bench: venv
 	python -m benchmarks.table
 
 docs: venv
-	python -m acgd docs
+	python -m acgd schema
 
 venv: system $(INSTALLED)
 
