@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from acgd.reports.differences import ALL_TASKS
 from acgd.reports.style import INK, MUTED, PALETTE, colours, panels
@@ -16,7 +17,7 @@ WIDTH = 11.2
 
 def success(pooled: pd.DataFrame, tasks: Sequence[str], variants: Sequence[str]) -> Figure:
     """A panel per task: rate and Wilson interval of each variant and control, and each student seed as a small dot."""
-    names = list(dict.fromkeys(pooled["variant"]))
+    names = [name for kind in ("student", "condition", "control") for name in dict.fromkeys(pooled.loc[pooled["kind"] == kind, "variant"])]
     colour = colours(variants)
     rows, columns = _grid(len(tasks), 4)
     figure, axes = panels(rows, columns, WIDTH, rows * (0.75 + 0.24 * len(names)), sharey=True, sharex=True)
@@ -54,6 +55,7 @@ def differences(paired: pd.DataFrame, rule: str, variants: Sequence[str], baseli
             axis.plot(row.mean, y, "D" if row.task == ALL_TASKS else "o", color=shade, markersize=6.5)
         axis.set_title(f"{name} − {baseline}")
         axis.set_xlim(-reach, reach)
+        axis.set_ylim(0.6 - len(tasks) - 0.35 * (ALL_TASKS in tasks) - 0.2, 0.6)
         axis.set_yticks([-place - 0.35 * (task == ALL_TASKS) for place, task in enumerate(tasks)], tasks)
         axis.grid(axis="y", visible=False)
         axis.spines["left"].set_visible(False)
@@ -61,23 +63,21 @@ def differences(paired: pd.DataFrame, rule: str, variants: Sequence[str], baseli
     return figure
 
 
-def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str], limits: Mapping[str, tuple] | None = None) -> Figure:
-    """A panel per column (name -> title), a colour per run name, a line per artifact. Students of one variant share a colour."""
+def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str], variants: Sequence[str]) -> Figure:
+    """A panel per column (name -> title), a line per artifact, in the colour of the variant."""
     rows, across = _grid(len(columns), 4)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3)
-    colour = colours(list(runs))
+    colour = {name: shade for name, shade in colours(variants).items() if name in runs}
     for axis, (column, title) in _pair(axes, list(columns.items())):
         for name, frames in runs.items():
-            for place, frame in enumerate(frames):
+            for frame in frames:
                 if column in frame:
                     line = frame[["step", column]].dropna()
-                    axis.plot(line["step"], line[column], color=colour[name], linewidth=1.2, alpha=0.9, label=None if place else name)
+                    axis.plot(line["step"], line[column], color=colour[name], linewidth=1.2, alpha=0.9)
         axis.set_title(title)
         axis.set_xlabel("step")
-        axis.ticklabel_format(axis="x", style="plain")
+        axis.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axis.margins(x=0.01)
-        if limits and column in limits:
-            axis.set_ylim(*limits[column])
     _legend(figure, colour)
     return figure
 
@@ -91,6 +91,7 @@ def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
         axis.set_title(task)
         axis.set_ylim(-0.03, 1.03)
         axis.set_xlabel("million steps")
+        axis.xaxis.set_major_locator(MaxNLocator(5))
     return figure
 
 
@@ -113,6 +114,7 @@ def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candida
         above.axvline(gate, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
         above.set_title(f"{task}   {row['within_state_mean']:.2f}")
         above.set_xlim(-1, 1)
+        above.set_xticks([-1, -0.5, 0, 0.5, 1], ["−1", "−0.5", "0", "0.5", "1"])
         above.set_xlabel("rank correlation within a state")
         above.set_ylabel("states" if column == 0 else "")
         points = candidates[task]
@@ -131,6 +133,9 @@ def ratios(curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]], tasks: Sequ
     rows, across = _grid(len(tasks), 4)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3, sharey=True)
     colour = colours(variants)
+    found = np.concatenate([frame["ratio"].to_numpy() for frames in curves.values() for frame in frames])
+    found = found[found > 0]
+    limits = (0.5 * min([*found, floor]), 2 * max([*found, 1.0]))
     for axis, task in _pair(axes, tasks):
         for (variant, of), frames in curves.items():
             for frame in frames if of == task else ():
@@ -138,6 +143,9 @@ def ratios(curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]], tasks: Sequ
                 axis.plot(positive["step"], positive["ratio"], color=colour[variant], linewidth=1.2)
         axis.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
         axis.set_yscale("log")
+        axis.set_ylim(*limits)
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{100 * ratio:g}%"))
+        axis.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axis.set_title(task)
         axis.set_xlabel("step")
     _legend(figure, {variant: colour[variant] for variant, _ in curves})

@@ -1,12 +1,13 @@
 """Numbers as the report writes them."""
 
 import math
+from collections.abc import Callable
 
 
 def proportion(rate: float, low: float, high: float, successes: int | None = None, episodes: int | None = None) -> str:
     """0.84 [0.74, 0.91] (63/75)"""
     counts = "" if episodes is None else f" ({successes}/{episodes})"
-    return f"{rate:.2f}{bracket(low, high)}{counts}"
+    return f"{plain(rate)}{bracket(low, high)}{counts}"
 
 
 def difference(mean: float, low: float, high: float) -> str:
@@ -14,9 +15,18 @@ def difference(mean: float, low: float, high: float) -> str:
     return f"{signed(mean)}{bracket(low, high, signed)}"
 
 
-def bracket(low: float, high: float, write=lambda value: f"{value:.2f}") -> str:
+def bracket(low: float, high: float, write: Callable[[float], str] | None = None) -> str:
     """The interval with a space before it; nothing where there is none."""
-    return "" if math.isnan(low) or math.isnan(high) else f" [{write(low)}, {write(high)}]"
+    if math.isnan(low) or math.isnan(high):
+        return ""
+    write = write or plain
+    return f" [{write(low)}, {write(high)}]"
+
+
+def plain(value: float) -> str:
+    """Two digits and a true minus sign."""
+    text = f"{value:.2f}".replace("-", "−")
+    return "0.00" if text == "−0.00" else text
 
 
 def signed(value: float) -> str:

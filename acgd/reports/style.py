@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -38,10 +39,19 @@ _SETTINGS = {
     "ytick.labelcolor": INK,
     "xtick.major.size": 0,
     "ytick.major.size": 0,
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+    "figure.constrained_layout.w_pad": 0.1,
+    "figure.constrained_layout.h_pad": 0.07,
     "legend.frameon": False,
     "figure.facecolor": PAPER,
     "axes.facecolor": "none",
 }
+
+
+def applied() -> AbstractContextManager:
+    """Figures are drawn inside of it; matplotlib's settings are as before afterwards."""
+    return matplotlib.rc_context(_SETTINGS)
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
@@ -51,9 +61,8 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 def panels(rows: int, columns: int, width: float, height: float, **share: object) -> tuple[Figure, list[list[Axes]]]:
     """A grid of axes; width and height in inches at 96 px."""
-    with matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        return figure, figure.subplots(rows, columns, squeeze=False, **share).tolist()
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **share).tolist()
 
 
 def svg(figure: Figure, name: str) -> str:

@@ -85,13 +85,12 @@ def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
         return None, "Whether the students use their images was not measured: no evaluation has a condition with image_features: shuffled."
     per_task = [group.loc[group["mean"].idxmax()] for _, group in drops.groupby("task", sort=False)]
     needing = [row for row in per_task if row["mean"] >= VISUAL_DROP - 1e-9]
-    told = [f"{row.task} loses {numbers.points(row['mean'])} ({row.variant}, {numbers.difference(row['mean'], row.low, row.high)})" for row in needing or per_task]
-    threshold = numbers.points(VISUAL_DROP)
+    lost = [f"{row.task} {'loses ' if place == 0 else ''}{numbers.points(row['mean'])}" for place, row in enumerate(needing or per_task)]
     if needing:
-        return True, f"The study is visual: with image features shuffled across episodes {numbers.listing(told)}."
+        return True, f"The study is visual: when image features are shuffled across episodes, {numbers.listing(lost)}."
     return False, (
-        f"The study is not visual: no task loses {threshold} when image features are shuffled across episodes; at most {numbers.listing(told)}. "
-        "Its differences say little about vision."
+        f"The study is not visual: no task loses {numbers.points(VISUAL_DROP)} when image features are shuffled across episodes "
+        f"({numbers.listing(lost)}). What it finds says little about vision."
     )
 
 
@@ -120,7 +119,7 @@ def idle_guidance(gates: pd.DataFrame) -> str:
     if len(closed):
         parts.append(f"the gate was closed for {_which(closed)}")
     if len(faint):
-        parts.append(f"the critics' gradient stayed below 1% of imitation's for {_which(faint)}")
+        parts.append(f"the critics’ gradient stayed below 1% of imitation’s for {_which(faint)}")
     return f"Read it with care: {numbers.listing(parts)}, which counts as no guidance." if parts else ""
 
 

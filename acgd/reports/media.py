@@ -1,0 +1,66 @@
+"""Pictures and films as data URIs, so that the page is one file."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import zarr
+
+from acgd.config.report import ReportRequest
+from acgd.reports.artifact import Artifact
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One episode of a student, filmed."""
+
+    uri: str
+    source: str
+    """Whose episode: variant and student seed."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """What the students do on one task."""
+
+    task: str
+    picture: str | None
+    """A frame of a demonstration, as a data URI."""
+    success: Clip | None
+    failure: Clip | None
+
+
+def films(request: ReportRequest, evaluations: Sequence[Artifact], rollouts: Sequence[Artifact]) -> list[Film]:
+    """Per task a success and a failure: those of the first student, in the study's order, that has one."""
+    found = []
+    for task_id, task in enumerate(request.tasks):
+        clips = {kind: _clip(request, evaluations, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")}
+        shown = next((rollouts[entry.rollouts[task_id]] for entry in request.entries if entry.rollouts), None)
+        found.append(Film(task, shown and picture(shown), clips["success"], clips["failure"]))
+    return found
+
+
+def picture(rollouts: Artifact) -> str | None:
+    """The last frame of the first demonstration as a png data URI."""
+    store = rollouts.path / "rollouts.zarr"
+    if not store.exists():
+        return None
+    image = np.asarray(zarr.open_group(store, mode="r")["final_image"][0])
+    encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
+    return _uri("image/png", encoded.tobytes())
+
+
+def _clip(request: ReportRequest, evaluations: Sequence[Artifact], file: str) -> Clip | None:
+    if not request.report.clips:
+        return None
+    for entry in request.entries:
+        path = evaluations[entry.evaluation].path / "clips" / file
+        if path.exists():
+            return Clip(_uri("video/mp4", path.read_bytes()), f"{entry.variant}, student seed {entry.seed}")
+    return None
+
+
+def _uri(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -1,0 +1,177 @@
+"""Tables as the page shows them: text, already rounded. The full figures are in the csv files."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from acgd.evaluation.intervals import wilson
+from acgd.reports import numbers
+from acgd.reports.differences import ALL_TASKS
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a reader looks for, and beside it in smaller type how sure it is."""
+
+    main: str
+    small: str = ""
+    kind: str = ""
+    """`name` for text to the left, `strong` for what stands out, `faint` for a control."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column heads and rows of cells."""
+
+    head: list[str]
+    rows: list[list[Cell]]
+    notes: list[str] = field(default_factory=list)
+
+
+def name(text: str, small: str = "") -> Cell:
+    return Cell(text, small, "name")
+
+
+def rate(row: object, kind: str = "") -> Cell:
+    """0.84 [0.74, 0.91] (63/75), from a row with rate, low, high, successes and episodes."""
+    whole = numbers.proportion(row.rate, row.low, row.high, row.successes, row.episodes)
+    main, small = whole.split(" ", 1)
+    return Cell(main, small, kind)
+
+
+def interval(mean: float, low: float, high: float, signed: bool = False) -> Cell:
+    """A mean with its interval in small type; strong where a difference's interval excludes zero."""
+    whole = numbers.difference(mean, low, high) if signed else numbers.proportion(mean, low, high)
+    main, _, small = whole.partition(" ")
+    return Cell(main, small, "strong" if signed and (low > 0 or high < 0) else "")
+
+
+def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kinds: Sequence[str]) -> Table:
+    """Variants down, tasks across, and the mean over tasks with its interval over student seeds."""
+    rows = []
+    for variant in dict.fromkeys(pooled.loc[pooled["kind"].isin(kinds), "variant"]):
+        of = pooled[pooled["variant"] == variant].set_index("task")
+        cells = [rate(of.loc[task]) if task in of.index else Cell("–") for task in tasks]
+        row = mean[mean["variant"] == variant].iloc[0]
+        seeds = max(len(by_seed) for by_seed in of["by_seed"])
+        told = f"{seeds} student seed{'s' * (seeds > 1)}" if of["kind"].iloc[0] == "student" else ""
+        rows.append([name(variant.removeprefix("control: "), told), *cells, *([interval(row.rate, row.low, row.high)] if len(tasks) > 1 else [])])
+    return Table(["", *tasks, *(["mean of tasks"] if len(tasks) > 1 else [])], rows)
+
+
+def differences(paired: pd.DataFrame, rule: str) -> Table:
+    """One row per variant and task: the difference, wins and losses, and each student seed's own difference."""
+    rows = []
+    for row in paired[paired["rule"] == rule].itertuples():
+        label = name(row.task, f"{row.variant} − {row.baseline}")
+        if row.task == ALL_TASKS:
+            label = Cell(label.main, label.small, "name strong")
+        by_seed = " · ".join(numbers.signed(float(value)) for value in row.by_seed.split())
+        cells = [Cell(str(row.wins)), Cell(str(row.losses)), Cell(str(row.pairs)), Cell(f"{row.p_value:.3f}"), Cell(by_seed, kind="name")]
+        rows.append([label, interval(row.mean, row.low, row.high, signed=True), *cells])
+    return Table(["", "difference", "won", "lost", "pairs", "McNemar’s p", "by student seed"], rows)
+
+
+def drops(drops: pd.DataFrame) -> Table:
+    """What each variant loses on each task without its image."""
+    rows = [
+        [name(row.task, row.variant), Cell(f"{row.own:.2f}"), Cell(f"{row.shuffled:.2f}"), interval(row.mean, row.low, row.high, signed=True)]
+        for row in drops.itertuples()
+    ]
+    return Table(["", "own images", "another episode’s", "lost without"], rows)
+
+
+def cost(per_stage: pd.DataFrame) -> Table:
+    """One row per stage, and the sum."""
+    rows = [
+        [name(row.stage), Cell(str(row.artifacts)), Cell(numbers.duration(row.wall_s)), Cell(numbers.duration(row.longest_s)), *_space(row)]
+        for row in per_stage.itertuples()
+    ]
+    total = per_stage[["artifacts", "wall_s", "bytes"]].sum()
+    sums = [Cell("all", kind="name strong"), Cell(f"{total.artifacts:.0f}"), Cell(numbers.duration(total.wall_s), kind="strong"), Cell("")]
+    rows.append([*sums, Cell(numbers.size(per_stage["peak_rss_bytes"].max())), Cell(numbers.size(total.bytes))])
+    return Table(["stage", "artifacts", "wall time", "longest", "peak memory", "on disk"], rows)
+
+
+def artifacts(cost: pd.DataFrame) -> Table:
+    """One row per artifact: its key is its name in the store."""
+    rows = [
+        [name(row.stage, row.label), Cell(row.variants, kind="name"), Cell(row.key, kind="key"), Cell(numbers.duration(row.wall_s)), *_space(row)]
+        for row in cost.rename(columns={"name": "label"}).itertuples()
+    ]
+    return Table(["artifact", "variants", "key", "wall time", "peak memory", "on disk"], rows)
+
+
+def plain(frame: pd.DataFrame, heads: dict[str, str], names: Sequence[str] = ()) -> Table:
+    """Columns of a frame as they are, to three digits, under readable heads (column -> head)."""
+    rows = [[name(str(row[c])) if c in names else Cell(numbers.figure(row[c])) for c in heads] for _, row in frame.iterrows()]
+    return Table(list(heads.values()), rows)
+
+
+def _space(row: object) -> list[Cell]:
+    return [Cell(numbers.size(row.peak_rss_bytes)), Cell(numbers.size(row.bytes))]
+
+
+def rules(success: pd.DataFrame) -> Table:
+    """The three success rules side by side, over the student seeds of a variant, per task."""
+    students = success[success["kind"] == "student"]
+    order = list(dict.fromkeys(students["rule"]))
+    rows = []
+    for (variant, task), group in students.groupby(["variant", "task"], sort=False):
+        cells = []
+        for rule in order:
+            of = group[group["rule"] == rule]
+            successes, episodes = int(of["successes"].sum()), int(of["episodes"].sum())
+            cells.append(interval_of(successes, episodes))
+        rows.append([name(variant, task), *cells])
+    return Table(["", *order], rows)
+
+
+def interval_of(successes: int, episodes: int) -> Cell:
+    found = wilson(successes, episodes)
+    return Cell(f"{found.mean:.2f}", f"{numbers.bracket(found.low, found.high).strip()} ({successes}/{episodes})")
+
+
+def experts(experts: pd.DataFrame) -> Table:
+    """Algorithm, steps and the card's success."""
+    rows = []
+    for row in experts.itertuples():
+        known = pd.notna(row.rate)
+        told = rate(row) if known else Cell("–")
+        rows.append([name(row.task, row.variants if experts["task"].duplicated(keep=False).any() else ""), Cell(row.algorithm or "–", kind="name"),
+                     Cell(numbers.figure(row.steps)), Cell(row.start or "–", kind="name"), told])  # fmt: skip
+    return Table(["task", "algorithm", "environment steps", "starts", "success"], rows)
+
+
+def demonstrations(demonstrations: pd.DataFrame) -> Table:
+    """What the experts had to do for the demonstrations that were kept."""
+    twice = demonstrations["task"].duplicated(keep=False).any()
+    rows = []
+    for row in demonstrations.itertuples():
+        counts = [Cell(numbers.figure(value)) for value in (row.demonstrations, row.attempts, row.failures, row.frames, row.environment_steps)]
+        rows.append([name(row.task, row.variants if twice else ""), *counts])
+    return Table(["task", "kept", "attempts", "failures", "frames", "environment steps"], rows)
+
+
+def critics(critics: pd.DataFrame) -> Table:
+    """The ranking within a state first, then what is easier."""
+    rows = []
+    for row in critics.itertuples():
+        cells = [interval(row.within_state_mean, row.within_state_low, row.within_state_high), interval(row.near_mean, row.near_low, row.near_high)]
+        others = (row.rank_correlation_monte_carlo, row.bellman_error, row.gain_critic, row.gain_simulator, row.spread)
+        rows.append([name(row.task), *cells, Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}"), *(Cell(numbers.figure(value)) for value in others)])
+    head = ["task", "rank within a state", "near candidates only", "states × actions", "rank, Monte Carlo", "Bellman error", "gain, critic's pick", "gain, best", "spread of Q"]
+    return Table(head, rows)
+
+
+def guidance(gates: pd.DataFrame) -> Table:
+    """Per variant and task: gates, and the ratio of gradient norms, over student seeds."""
+    rows = []
+    for (variant, task), group in gates.groupby(["variant", "task"], sort=False):
+        ratios = group["gradient_ratio"]
+        span = f"{100 * ratios.min():.1f}% to {100 * ratios.max():.1f}%" if len(group) > 1 else ""
+        opened = f"{int((group['gate'] > 0).sum())} of {len(group)}"
+        counts = f"{int((~group['counts_as_none']).sum())} of {len(group)}"
+        rows.append([name(task, variant), Cell(opened), Cell(f"{100 * ratios.mean():.1f}%", span), Cell(counts)])
+    return Table(["", "gate open", "gradient ratio", "counts as guided"], rows)

@@ -1,0 +1,187 @@
+"""The report: a row per variant, seed, task and rule; sentences that follow the numbers; one file that needs nothing else."""
+
+import math
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pandas as pd
+import pytest
+from study_artifacts import TASKS, study
+
+from acgd.config.report import ReportConfig
+from acgd.evaluation.intervals import wilson
+from acgd.reports import numbers
+from acgd.reports.write import write
+from acgd.tracking.metrics import Metrics
+
+GUIDED = {"acgd": [0.88, 0.72, 0.8], "no-guidance": [0.84, 0.72, 0.8]}
+
+
+def report(request, inputs, out: Path) -> tuple[Path, str]:
+    out.mkdir()
+    metrics = Metrics(out / "metrics.jsonl")
+    write(request, inputs, SimpleNamespace(out=out, metrics=metrics))
+    metrics.flush()
+    return out, (out / "report.html").read_text(encoding="utf-8")
+
+
+def words(page: str) -> str:
+    """What a reader sees."""
+    page = re.sub(r"<(style|svg).*?</\1>", " ", page, flags=re.DOTALL)
+    page = re.sub(r"<[^>]*>", " ", page).replace("&amp;", "&")
+    return re.sub(r"\s+", " ", page)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    root = tmp_path_factory.mktemp("study")
+    return report(*study(root / "store", GUIDED, clips=True), root / "out")
+
+
+def test_success_has_one_row_per_variant_seed_task_and_rule_with_its_interval(made) -> None:
+    table = pd.read_csv(made[0] / "success.csv")
+    assert not table.duplicated(["variant", "seed", "task", "rule"]).any()
+    students = table[table["kind"] == "student"]
+    assert set(students["variant"]) == set(GUIDED) and len(students) == 2 * 3 * 3 * 3
+    row = students.query("variant == 'acgd' and seed == 1 and task == 'myo/obj-hold' and rule == 'final'").iloc[0]
+    assert (row.episodes, row.successes) == (25, 18)
+    expected = wilson(18, 25)
+    assert (row.rate, row.low, row.high) == pytest.approx((0.72, expected.low, expected.high), abs=1e-6)
+
+
+def test_controls_are_rows_of_the_same_table(made) -> None:
+    table = pd.read_csv(made[0] / "success.csv")
+    controls = set(table.loc[table["kind"] == "control", "variant"])
+    replays = {"control: open-loop replay", "control: nearest-start replay", "control: expert", "control: expert, nominal start"}
+    assert controls == replays | {"control: acgd, shuffled images", "control: no-guidance, shuffled images"}
+    assert (table.loc[table["variant"] == "control: expert, nominal start", "episodes"] == 1).all()
+
+
+def test_paired_differences_are_those_of_the_episodes(made) -> None:
+    table = pd.read_csv(made[0] / "paired.csv").query("rule == 'final'").set_index("task")
+    assert list(table.index) == [*TASKS, "all tasks"]
+    assert table.loc["myo/key-turn", "mean"] == pytest.approx(0.04)
+    assert (table.loc["myo/key-turn", ["wins", "losses", "pairs"]] == [3, 0, 75]).all()
+    assert table.loc["all tasks", "mean"] == pytest.approx(0.04 / 3, abs=1e-6)
+    assert table.loc["myo/reach", ["mean", "low", "high"]].tolist() == [0, 0, 0]
+
+
+def test_the_page_is_one_file_that_asks_for_nothing(made) -> None:
+    page = made[1]
+    assert not re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?(?!data:|#)[^"'\s>]""", page.replace("xmlns", ""))
+    assert "http://" not in page and "https://" not in page
+    assert page.count("data:video/mp4;base64,") == 3
+    assert "var(--ink)" in page and "<script" not in page
+
+
+def test_ids_of_the_figures_do_not_collide(made) -> None:
+    ids = re.findall(r'\bid="([^"]+)"', made[1])
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', made[1])) <= set(ids)
+
+
+def test_figures_are_files_too_and_well_formed(made) -> None:
+    names = {path.stem for path in made[0].glob("*.svg")}
+    assert names == {"success", "paired", "curves", "codebook-curves", "backbone-curves", "experts", "critics", "guidance"}
+    for path in made[0].glob("*.svg"):
+        ElementTree.parse(path)
+        assert "<dc:date>" not in path.read_text()
+
+
+def test_the_same_artifacts_give_the_same_bytes(made, tmp_path: Path) -> None:
+    again, _ = report(*study(tmp_path / "store", GUIDED, clips=True), tmp_path / "out")
+    files = sorted(path.name for path in made[0].iterdir())
+    assert files == sorted(path.name for path in again.iterdir())
+    for name in files:
+        assert (made[0] / name).read_bytes() == (again / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("acgd", "verdict"),
+    [(0.6, "Guidance did not help"), (0.96, "Guidance helped"), (0.2, "Guidance hurt")],
+)
+def test_the_headline_follows_the_interval(tmp_path: Path, acgd: float, verdict: str) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [acgd] * 2, "no-guidance": [0.6] * 2})
+    said = words(report(request, inputs, tmp_path / "out")[1])
+    assert verdict in said
+    assert ("covers zero" in said) == (verdict == "Guidance did not help")
+    assert f"acgd {acgd:.2f}, no-guidance 0.60" in said
+
+
+@pytest.mark.parametrize(("kept", "verdict"), [(0.1, "The study is visual"), (0.9, "The study is not visual"), (None, "was not measured")])
+def test_it_says_whether_the_study_is_visual(tmp_path: Path, kept: float | None, verdict: str) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [0.8], "no-guidance": [0.8]}, shuffled=kept, seeds=(0,))
+    assert verdict in words(report(request, inputs, tmp_path / "out")[1])
+
+
+def test_faint_guidance_is_called_none(made) -> None:
+    said = words(made[1])
+    assert "the critics' gradient stayed below 1% of imitation's for myo/reach (acgd, 3 students), which counts as no guidance" in said.replace("&#39;", "'")
+
+
+def test_numbers_carry_their_interval_and_counts(made) -> None:
+    low, high = wilson(66, 75).low, wilson(66, 75).high
+    assert f"0.88 [{low:.2f}, {high:.2f}] (66/75)" in words(made[1])
+
+
+@pytest.mark.parametrize(
+    "less",
+    [
+        {"guided": ()},
+        {"seeds": (4,)},
+        {"features": False},
+        {"controls": False, "shuffled": None},
+        {"guided": (), "seeds": (0,), "features": False, "controls": False, "shuffled": None},
+    ],
+)
+def test_a_study_with_less_in_it_has_a_report_too(tmp_path: Path, less: dict) -> None:
+    request, inputs = study(tmp_path / "store", {"one": [0.6, 0.4], "two": [0.5, 0.4]}, **{"guided": ("one",), **less})
+    out, page = report(request, inputs, tmp_path / "out")
+    assert (out / "success.csv").stat().st_size > 100 and "nan" not in words(page).lower()
+
+
+def test_a_study_of_one_variant_and_task(tmp_path: Path) -> None:
+    out, page = report(*study(tmp_path / "store", {"acgd": [0.6]}, seeds=(0,)), tmp_path / "out")
+    assert "nothing to compare" in words(page) and not (out / "paired.csv").exists()
+
+
+def test_variants_are_compared_on_common_seeds_alone(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]})
+    entries = tuple(entry for entry in request.entries if (entry.variant, entry.seed) not in {("acgd", 0), ("no-guidance", 1), ("no-guidance", 2)})
+    page = report(request.model_copy(update={"entries": entries}), inputs, tmp_path / "out")[1]
+    assert "acgd shares no student seed, start and task with no-guidance" in words(page)
+
+
+def test_an_unknown_baseline_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]}, config=ReportConfig(baseline="nothing"))
+    with pytest.raises(ValueError, match="'nothing'.*choose one of acgd, no-guidance"):
+        report(request, inputs, tmp_path / "out")
+
+
+def test_an_artifact_that_variants_share_is_paid_once(made) -> None:
+    stages = pd.read_csv(made[0] / "stages.csv")
+    assert len(stages) == stages["key"].nunique()
+    codebook = stages[stages["stage"] == "codebook"]
+    assert len(codebook) == 3 and set(codebook["variants"]) == {"acgd, no-guidance"}
+    assert set(stages.loc[stages["stage"] == "critic", "variants"]) == {"acgd"}
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        (numbers.proportion(0.84, 0.74, 0.906, 63, 75), "0.84 [0.74, 0.91] (63/75)"),
+        (numbers.proportion(0.84, math.nan, math.nan), "0.84"),
+        (numbers.difference(0.04, -0.02, 0.1), "+0.04 [−0.02, +0.10]"),
+        (numbers.signed(-0.001), "0.00"),
+        (numbers.duration(4.24), "4.2 s"),
+        (numbers.duration(185), "3:05 min"),
+        (numbers.duration(7260), "2:01 h"),
+        (numbers.size(1_530_000), "2 MB"),
+        (numbers.figure(2_000_000), "2 000 000"),
+        (numbers.listing(["a", "b", "c"]), "a, b and c"),
+    ],
+)
+def test_how_numbers_are_written(written: str, expected: str) -> None:
+    assert written == expected
