@@ -42,4 +42,4 @@ $(INSTALLED): requirements.txt requirements.lock | system
 lock: venv
 	python -m pip install --upgrade --requirement requirements.txt
 	{ echo "# Every package of a working installation (Python 3.11, Linux), written by \`make lock\`."; \
-	  python -m pip freeze --all --exclude setuptools --exclude wheel | sed 's/+cpu$$//'; } > requirements.lock
+	  python -m pip freeze --all | sed 's/+cpu$$//'; } > requirements.lock
