@@ -39,7 +39,11 @@ class EvaluationConfig(Section):
     weights: Literal["best", "last"] = Field("best", description="The student's weights of least validation loss, or of its last step.")
     acting: ActingConfig = Field(ActingConfig(), description="How chunks become actions.")
     lockstep: int = Field(
-        25, ge=1, le=256, description="Environments stepped together, and the batch of the student; always that many rows, so results do not depend on the rest."
+        9,
+        ge=1,
+        le=256,
+        description="Environments stepped together, some 0.1 GB each, and the rows of every computation of the student: always that many, so that an "
+        "episode does not depend on how many others there are. Another number can change the last bit of an action.",
     )
     clips: bool = Field(True, description="Film the first success and the first failure of each task in the headline condition.")
 
@@ -66,7 +70,7 @@ class ControlsConfig(Section):
 
     episodes: int = Field(25, ge=1, le=1000, description="Episodes per task and control; the same as evaluation.episodes, so that they can be paired.")
     split: Literal["evaluation", "validation"] = Field("evaluation", description="Which held-out seeds; the same as evaluation.split.")
-    lockstep: int = Field(25, ge=1, le=256, description="Environments stepped together.")
+    lockstep: int = Field(9, ge=1, le=256, description="Environments stepped together, some 0.1 GB each.")
 
 
 class ControlsRequest(Section):
