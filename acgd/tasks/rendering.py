@@ -16,7 +16,7 @@ from acgd.tasks import gl
 from acgd.tasks.cameras import Camera
 from acgd.tasks.meshes import decimated
 
-FACES_PER_MESH = 96
+FACES_PER_MESH = 64
 """At 84 px a bone covers a few dozen pixels; more faces than that do not show."""
 ROUND = 12, 6
 """Slices and stacks of spheres, ellipsoids and cylinders, which are meshes to OpenGL as well."""
