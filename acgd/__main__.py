@@ -97,7 +97,7 @@ def _mirror(options: argparse.Namespace) -> None:
         return
     plan = _planned(options.configuration)
     commands.mirror(store, [plan])
-    names.write(store, plan, names.MLFLOW)
+    names.mark(store, "mirrored", plan)
 
 
 def _publish(options: argparse.Namespace) -> None:

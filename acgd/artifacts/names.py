@@ -1,19 +1,24 @@
 """Names for people: small text files in `results/<study>/` that list the directories of the artifacts they stand for."""
 
+import hashlib
 import shutil
 from pathlib import Path
 
 from acgd.artifacts.atomic import replace_file
 from acgd.artifacts.graph import Artifact, Plan
+from acgd.artifacts.key import KEY_LENGTH, canonical
 from acgd.artifacts.store import MANIFEST, METRICS, NOT_PAYLOAD, Store
-
-MLFLOW = "mlflow"
-"""The name of all that the study has in MLflow."""
 
 
 def all_names(plan: Plan) -> dict[str, list[Artifact]]:
-    """The names of the variants' artifacts, and two of the whole study."""
-    return {**plan.names, "report": [plan.report], MLFLOW: list(plan.artifacts.values())}
+    """The names of the variants' artifacts, and that of the report."""
+    return {**plan.names, "report": [plan.report]}
+
+
+def fingerprint(plan: Plan) -> str:
+    """A hash of the names and of what they stand for: it changes when there is something to write anew."""
+    places = {name: [artifact.place for artifact in artifacts] for name, artifacts in all_names(plan).items()}
+    return hashlib.sha256(canonical(places).encode()).hexdigest()[:KEY_LENGTH]
 
 
 def content(store: Store, plan: Plan, name: str) -> str:
@@ -21,14 +26,25 @@ def content(store: Store, plan: Plan, name: str) -> str:
     return "".join(f"{store.path(artifact.place)}\n" for artifact in all_names(plan)[name])
 
 
-def prune(store: Store, plan: Plan) -> None:
-    """Takes away names that no longer hold: of other artifacts than the plan's, or of artifacts that are gone."""
+def prune(store: Store, plan: Plan) -> dict[Path, str]:
+    """Takes away names that no longer hold: of other artifacts than the plan's, or of artifacts that are gone. Gives what they said."""
+    said = {}
     folder, names = store.results / plan.study, all_names(plan)
     for file in [file for file in folder.rglob("*") if file.is_file() and _is_name(file)]:
         name = file.relative_to(folder).as_posix()
-        holds = name in names and file.read_text(encoding="utf-8") == content(store, plan, name)
-        if not holds or not all(store.has(artifact.place) for artifact in names[name]):
+        text = file.read_text(encoding="utf-8")
+        holds = name in names and text == content(store, plan, name) and all(store.has(artifact.place) for artifact in names[name])
+        if not holds:
+            said[file] = text
             file.unlink()
+    return said
+
+
+def restore(said: dict[Path, str]) -> None:
+    """Puts back what `prune` took away, where nothing has been written since."""
+    for file, text in said.items():
+        if not file.exists():
+            replace_file(file, lambda draft, text=text: draft.write_text(text, encoding="utf-8"))
 
 
 def prune_dangling(store: Store) -> None:
@@ -46,9 +62,18 @@ def publish(store: Store, plan: Plan) -> Path:
         if file.is_file() and not (file.parent == report and file.name in (*NOT_PAYLOAD, METRICS)):
             target = folder / file.relative_to(report)
             replace_file(target, lambda draft, source=file: shutil.copyfile(source, draft))
-    for name in (*plan.names, "report"):
+    for name in all_names(plan):
         write(store, plan, name)
+    mark(store, "published", plan)
     return folder / "report.html"
+
+
+def mark(store: Store, what: str, plan: Plan) -> None:
+    """Notes that `what` is up to date with the plan: `results/work/<what>/<study>/<fingerprint>`, in place of earlier notes."""
+    folder = store.results / "work" / what / plan.study
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / fingerprint(plan)).touch()
 
 
 def write(store: Store, plan: Plan, name: str) -> None:

@@ -1,7 +1,7 @@
 # One process mirrors the whole study: importing mlflow costs seconds. It never fails.
 rule mlflow:
     input:
-        ancient([manifest(artifact) for artifact in PLAN.artifacts.values()]),
+        manifests(PLAN.artifacts.values(), unless=MIRRORED),
     output:
         MIRRORED,
     log:

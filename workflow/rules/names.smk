@@ -1,21 +1,24 @@
 # Names for people: results/<study>/<variant>/<stage> and results/<study>/<variant>/<item>/<stage>, small files that list
 # directories of artifacts. `publish` writes them all; `name` makes one that is asked for by itself.
+NAMES = names.all_names(PLAN)
+
+
 rule name:
     input:
-        lambda wildcards: ancient([manifest(artifact) for artifact in PLAN.names[wildcards.name]]),
+        lambda wildcards: manifests(NAMES[wildcards.name], unless=f"{RESULT}/{wildcards.name}"),
     output:
         RESULT + "/{name}",
     wildcard_constraints:
-        name="|".join(re.escape(name) for name in PLAN.names),
+        name="|".join(re.escape(name) for name in NAMES),
     params:
-        directories=lambda wildcards: [str(STORE.path(artifact.place)) for artifact in PLAN.names[wildcards.name]],
+        directories=lambda wildcards: [str(STORE.path(artifact.place)) for artifact in NAMES[wildcards.name]],
     shell:
         "printf '%s\\n' {params.directories:q} > {output}"
 
 
 rule publish:
     input:
-        ancient(manifest(PLAN.report)),
+        manifests([PLAN.report], unless=PUBLISHED[0]),
     output:
         PUBLISHED,
     params:
