@@ -1,6 +1,7 @@
 """The artifacts of a small study, invented: what the report reads, in the files and fields that the stages write."""
 
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -20,22 +21,19 @@ class Folder:
     def __init__(self, root: Path, stage: str, name: str, request: dict) -> None:
         self.path = root / stage / name
         self.path.mkdir(parents=True)
-        key = f"{abs(hash_of(str(self.path.relative_to(root)))):016x}"[:16]
+        key = sha256(f"{stage}/{name}".encode()).hexdigest()[:16]
         manifest = {"key": key, "stage": stage, "name": name, "request": request, "inputs": {}, "simulator": {"mujoco": "3.3.0", "myosuite": "3.0.0"}}
         self.json("manifest.json", manifest)
-        cost = 10 + hash_of(stage) % 300
-        self.json("run.json", {"started": 1.7e9, "wall_s": cost + 0.5, "cpu_s": cost * 0.9, "peak_rss_bytes": 10**8 * (3 + cost % 20)})
+        cost = 10 + int(key, 16) % 300
+        usage = {"started": 1.7e9, "wall_s": cost + 0.5, "cpu_s": cost * 0.9, "peak_rss_bytes": 10**8 * (3 + cost % 20), "resumed": False}
+        machine = {"processor": "A processor", "cores": 2, "device": "cpu", "packages": {"torch": "2.13.0"}, "revision": "0123456789ab"}
+        self.json("run.json", usage | machine)
 
     def json(self, name: str, content: dict) -> None:
         (self.path / name).write_text(json.dumps(content))
 
     def lines(self, name: str, rows: list[dict]) -> None:
         (self.path / name).write_text("".join(json.dumps(row) + "\n" for row in rows))
-
-
-def hash_of(text: str) -> int:
-    """Python's own differs from run to run."""
-    return sum((place + 1) * ord(letter) * 2654435761 for place, letter in enumerate(text)) % 2**61
 
 
 def episode(task: str, seed: int, solved: bool, control: str = "none", goal: str = "training", image: str = "own", start: str = "perturbed") -> dict:

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-import pandas as pd
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -91,15 +91,19 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
     everything = [artifact for stage in artifacts.values() for artifact in stage]
     versions: dict[str, dict[str, None]] = {}
     for artifact in everything:
-        for package, version in artifact.manifest.get("versions", {}).items():
+        for package, version in {**artifact.manifest.get("simulator", {}), **artifact.run.get("packages", {})}.items():
             versions.setdefault(package, {})[str(version)] = None
     machines = dict.fromkeys(text for artifact in everything if (text := _machine(artifact.run)))
+    revisions = dict.fromkeys(artifact.run["revision"] for artifact in everything if artifact.run.get("revision"))
     return {
         "configuration": yaml.safe_dump(request.configuration, sort_keys=False, allow_unicode=True, width=120) if request.configuration else "",
         "versions": {package: ", ".join(found) for package, found in sorted(versions.items())},
         "machines": list(machines),
+        "revisions": list(revisions),
     }
 
 
-def _machine(run: dict) -> str:
-    return ", ".join(str(run[name]) for name in ("machine", "device", "revision") if pd.notna(run.get(name)) and run.get(name))
+def _machine(run: dict[str, Any]) -> str:
+    cores = f"{run['cores']} cores" if run.get("cores") else ""
+    device = run.get("device", "")
+    return ", ".join(text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device) if text)

@@ -54,18 +54,24 @@ def answers(request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, ba
             continue
         whole = rows[rows["task"] == ALL_TASKS]
         row = (whole if len(whole) else rows).iloc[0]
-        what = "Guidance" if variant in guided and baseline not in guided else variant
         told = f"{variant} {rates[variant]:.2f}, {baseline} {rates[baseline]:.2f}; paired difference {numbers.difference(row['mean'], row.low, row.high)}"
-        where = "" if len(whole) else f" (on {row.task})"
-        if row.low > 0:
-            sentences.append(f"{what} helped{where}: {told}.")
-        elif row.high < 0:
-            sentences.append(f"{what} hurt{where}: {told}.")
-        else:
-            sentences.append(f"{what} did not help{where}: {told}, an interval that covers zero.")
+        where = f" on {row.task}" if len(request.tasks) > 1 and whole.empty else ""
+        told += ", an interval that covers zero." if row.low <= 0 <= row.high else "."
+        told += " It is of one student seed, and says nothing of the next." if row.seeds == 1 else ""
+        outcome = _outcome(row, "Guidance" if variant in guided and baseline not in guided else "", variant, baseline)
+        sentences.append(f"{outcome}{where}: {told}")
     if not sentences and baseline in rates:
         sentences.append(f"{baseline} succeeds in {rates[baseline]:.2f} of the episodes. With one variant there is nothing to compare.")
     return sentences
+
+
+def _outcome(row: pd.Series, guidance: str, variant: str, baseline: str) -> str:
+    """Better, worse, or not told apart."""
+    if guidance:
+        return f"{guidance} {'helped' if row.low > 0 else 'hurt' if row.high < 0 else 'did not help'}"
+    if row.low > 0 or row.high < 0:
+        return f"{variant} did {'better' if row.low > 0 else 'worse'} than {baseline}"
+    return f"{variant} did no better and no worse than {baseline}"
 
 
 def exceptions(paired: pd.DataFrame, rule: str) -> str:

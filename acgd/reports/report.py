@@ -12,7 +12,7 @@ from acgd.reports.page import render
 VERSION = 1
 
 
-def write(config: ReportRequest, inputs: Inputs, ctx: Context) -> None:
+def report(config: ReportRequest, inputs: Inputs, ctx: Context) -> None:
     """Writes report.html, *.csv and *.svg. The same artifacts, with the same run.json, give the same bytes."""
     artifacts = {stage: [Artifact(path) for path in inputs.get(stage, [])] for stage in STAGES}
     evidence = Evidence.of(config, artifacts)
