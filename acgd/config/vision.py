@@ -41,9 +41,13 @@ class BackboneConfig(Section):
 
     @model_validator(mode="after")
     def _path_where_needed(self) -> "BackboneConfig":
-        if self.kind in ("r3m", "huggingface") and self.path is None:
-            what = "the R3M checkpoint (model.pt)" if self.kind == "r3m" else "a local folder of a Hugging Face vision model"
-            raise ValueError(f"backbone.kind is {self.kind}: set backbone.path to {what}, or use backbone.kind: privileged")
+        if self.kind == "r3m" and not (self.path and self.path.is_file()):
+            raise ValueError(f"backbone.kind is r3m: set backbone.path to the checkpoint (model.pt); {_given(self.path)}")
+        if self.kind == "huggingface" and not (self.path and (self.path / "config.json").is_file()):
+            raise ValueError(
+                "backbone.kind is huggingface: set backbone.path to a local folder with config.json and *.safetensors, "
+                f"as save_pretrained writes it; {_given(self.path)}"
+            )
         return self
 
     def used(self) -> "BackboneConfig":
@@ -51,13 +55,9 @@ class BackboneConfig(Section):
         read = FIELDS_OF_KIND[self.kind]
         return BackboneConfig(kind=self.kind, **{name: getattr(self, name) for name in read})
 
-    def external_files(self) -> tuple[Path, ...]:
-        """Files outside the store that the backbone is made from, in a fixed order; their contents belong in the key."""
-        if self.kind == "r3m":
-            return (self.path,)
-        if self.kind == "huggingface":
-            return tuple(sorted(f for f in self.path.iterdir() if f.suffix in (".json", ".safetensors")))
-        return ()
+
+def _given(path: Path | None) -> str:
+    return "nothing is set" if path is None else f"there is none at {path}"
 
 
 class BackboneRequest(Section):

@@ -10,6 +10,7 @@ from acgd.config.rollouts import RolloutsRequest
 from acgd.experts.policy import Expert
 from acgd.rollouts.episode import FIELDS, FINAL, ONCE, TERMS, StoredEpisode, run_wave, save_wave
 from acgd.rollouts.store import write_group
+from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
 
@@ -45,7 +46,13 @@ def collect(config: RolloutsRequest, inputs: Inputs, ctx: Context) -> None:
                 (kept if episode["success_final"] else failed).append(episode)
             bar.update(len(kept) - before, failures=len(failed))
     store = ctx.out / "rollouts.zarr"
-    write_group(store, stack_episodes(kept), {"task": config.task.name, "reward_terms": reward_terms(kept[0])})
+    layout = registry.make(config.task, image=False).state_layout
+    attributes = {
+        "task": config.task.name,
+        "reward_terms": reward_terms(kept[0]),
+        "state_layout": {name: [columns.start, columns.stop] for name, columns in layout.items()},
+    }
+    write_group(store, stack_episodes(kept), attributes)
     if config.rollouts.keep_failures and failed:
         write_group(store / "failures", stack_episodes(failed), {})
     (ctx.out / "summary.json").write_text(json.dumps(_summary(kept, failed), indent=1, sort_keys=True) + "\n")

@@ -27,18 +27,21 @@ class Demonstrations:
     """(E,) int64."""
     reward_terms: tuple[str, ...]
     """Names of the columns of `reward_terms`."""
+    state_layout: dict[str, slice]
+    """Name -> columns of `state`."""
 
     @classmethod
     def load(cls, artifact_dir: Path, arrays: Sequence[str], *, failures: bool = False) -> "Demonstrations":
         """Read the named arrays of a `rollouts` artifact. A missing or damaged chunk is an error."""
         path = Path(artifact_dir) / "rollouts.zarr"
-        terms = tuple(read_attributes(path)["reward_terms"])
+        attributes = read_attributes(path)
+        layout = {name: slice(*columns) for name, columns in attributes["state_layout"].items()}
         if failures:
             path = path / "failures"
             if not path.is_dir():
                 raise FileNotFoundError(f"no {path}: set rollouts.keep_failures: true, unless summary.json says that no episode failed")
         read = read_group(path, sorted({*arrays, *BOOKKEEPING}))
-        return cls({name: read[name] for name in arrays}, read["episode_ends"], read["seed"], terms)
+        return cls({name: read[name] for name in arrays}, read["episode_ends"], read["seed"], tuple(attributes["reward_terms"]), layout)
 
     @property
     def episode_starts(self) -> np.ndarray:

@@ -1,0 +1,51 @@
+"""A small network that says where things are: 84 x 84 pixels in half a millisecond on one core."""
+
+import torch
+from torch import Tensor, nn
+
+MAPS = 32
+
+
+class SmallCNN(nn.Module):
+    """Images -> features (B, dim), through centroids.
+
+    Two convolutions at half the resolution give 32 non-negative maps. Of each, the centre of mass, a
+    coordinate much finer than its grid, and the mass are kept: a marker of three pixels survives that, and no
+    pooling. At 84 px a frame costs 18 MFLOP.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(3, 16, 4, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(16, MAPS, 3, padding=1),
+            nn.ReLU(),
+        ).to(memory_format=torch.channels_last)
+        for layer in self.convolutions:
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight)
+                nn.init.zeros_(layer.bias)  # black stays black, and has no mass
+        # what moves by a pixel or two is made as large as what moves across the image
+        self.standardise = nn.BatchNorm1d(3 * MAPS, affine=False, momentum=0.02)
+        self.mix = nn.Sequential(nn.Linear(3 * MAPS, 128), nn.ReLU(), nn.Linear(128, dim))
+
+    def forward(self, images: Tensor, moved: Tensor | None = None) -> Tensor:
+        """Images (B, H, W, 3) uint8 -> (B, dim).
+
+        `moved` (B, 2): rows and columns in pixels by which an augmentation moved the content. It is taken off
+        the centroids, so that the features are those of the unmoved image.
+        """
+        rows, columns, mass = self.centroids(images)
+        if moved is not None:
+            shift = 2.0 * moved / (torch.tensor(images.shape[1:3], device=images.device) - 1)
+            rows, columns = rows - shift[:, :1], columns - shift[:, 1:]
+        return self.mix(self.standardise(torch.cat([rows, columns, mass], 1)))
+
+    def centroids(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Row and column in [-1, 1], and log of the mass in pixels, of each map, (B, MAPS)."""
+        # a permuted (B, H, W, 3) image is channels_last already
+        maps = self.convolutions(images.permute(0, 3, 1, 2).float().div(255.0)).float()
+        row, column = (torch.linspace(-1.0, 1.0, n, device=maps.device) for n in maps.shape[-2:])
+        mass = maps.sum((2, 3))
+        return (maps.sum(3) @ row) / (mass + 1), (maps.sum(2) @ column) / (mass + 1), (mass + 1).log()

@@ -1,0 +1,35 @@
+"""The stage `features`: a frozen backbone applied once to every frame of one task's demonstrations."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from acgd.artifacts.stage import Context, Inputs
+from acgd.config.vision import FeaturesConfig, FeaturesRequest
+from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.store import write_group
+from acgd.vision.backbones import Backbone, load
+
+VERSION = 1
+
+
+def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
+    """Write features.zarr: `image` (T, F) and `final_image` (E, F), float32."""
+    backbone = load(inputs["backbone"], ctx.device)
+    demos = Demonstrations.load(inputs["rollouts"], ["image", "final_image"])
+    total = sum(len(frames) for frames in demos.arrays.values())
+    with ctx.progress(total, "encoding frames") as bar:
+        features = {}
+        for name, frames in demos.arrays.items():
+            parts = []
+            for batch in torch.from_numpy(frames).split(config.features.batch):
+                parts.append(_encode(backbone, batch.to(ctx.device), config.features).cpu().numpy())
+                bar.update(len(batch))
+            features[name] = np.concatenate(parts)
+    write_group(ctx.out / "features.zarr", features, {"dim": backbone.dim})
+
+
+@torch.inference_mode()
+def _encode(backbone: Backbone, images: Tensor, settings: FeaturesConfig) -> Tensor:
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+        return backbone(images).float()

@@ -1,0 +1,59 @@
+"""Frames of one task with what a privileged backbone is to find in them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from acgd.rollouts.dataset import Demonstrations
+
+STD_FLOOR = 1e-3
+"""A target that varies less than this (m, rad) counts as constant."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """N frames, their targets, and which are for training."""
+
+    images: Tensor
+    """(N, H, W, 3) uint8."""
+    targets: Tensor
+    """(N, D), in standard deviations over the training frames."""
+    names: list[str]
+    """D names, `<entry of the state>.<index>`."""
+    std: Tensor
+    """(D,), what one unit of a target is."""
+    training: Tensor
+    """(n,) long."""
+    validation: Tensor
+    """(m,) long."""
+
+    @classmethod
+    def load(cls, artifact_dir: Path, entries: tuple[str, ...], most: int, device: torch.device) -> "Frames":
+        """At most `most` training frames, evenly spaced; a fourth as many of the held-out episodes."""
+        demos = Demonstrations.load(artifact_dir, ["image", "state"])
+        columns = [(f"{entry}.{i}", at) for entry in entries for i, at in enumerate(_columns(demos, entry))]
+        train, held_out = (demos.steps_of(episodes) for episodes in demos.split())
+        train, held_out = _thin(train, most), _thin(held_out, max(1, most // 4))
+        rows = np.concatenate([train, held_out])
+        values = demos.arrays["state"][np.ix_(rows, [at for _, at in columns])]
+        mean, std = values[: len(train)].mean(0), values[: len(train)].std(0).clip(STD_FLOOR)
+        return cls(
+            images=torch.from_numpy(demos.arrays["image"][rows]).to(device),
+            targets=torch.from_numpy((values - mean) / std).to(device),
+            names=[name for name, _ in columns],
+            std=torch.from_numpy(std).to(device),
+            training=torch.arange(len(train), device=device),
+            validation=torch.arange(len(train), len(rows), device=device),
+        )
+
+
+def _columns(demos: Demonstrations, entry: str) -> range:
+    place = demos.state_layout[entry]
+    return range(place.start, place.stop)
+
+
+def _thin(rows: np.ndarray, most: int) -> np.ndarray:
+    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).round().astype(np.int64)]

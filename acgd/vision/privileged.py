@@ -1,0 +1,134 @@
+"""A small CNN that regresses object and goal from training frames, and is then frozen.
+
+The asymmetric idea applied to vision: the privileged state is the teacher, and at test time only the image is read.
+Episodes held out for validation are no part of the training.
+"""
+
+import json
+import math
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from acgd.artifacts.checkpoint import restore_training, save_training
+from acgd.artifacts.stage import Context, Inputs
+from acgd.config.vision import BackboneConfig, BackboneRequest
+from acgd.tasks.registry import TASKS
+from acgd.vision.augmentation import brighten, shift
+from acgd.vision.cnn import SmallCNN
+from acgd.vision.frames import Frames
+
+WARM_UP = 50
+"""Steps over which the learning rate rises."""
+LOG_EVERY = 50
+VALIDATE_EVERY = 500
+
+
+class PrivilegedBackbone(nn.Module):
+    """SmallCNN and one linear head per task. Its features are the CNN's and all heads' outputs, in standard deviations."""
+
+    def __init__(self, dim: int, targets: list[int]) -> None:
+        super().__init__()
+        self.cnn = SmallCNN(dim)
+        self.heads = nn.ModuleList([nn.Linear(dim, n) for n in targets])
+        self.dim = dim + sum(targets)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Images (B, H, W, 3) uint8 -> (B, dim)."""
+        trunk = self.cnn(images)
+        return torch.cat([trunk, *(head(trunk) for head in self.heads)], 1)
+
+    def loss(self, images: Tensor, moved: Tensor | None, targets: list[Tensor]) -> Tensor:
+        """Smooth L1 per task, averaged. Images (K * n, H, W, 3), task by task; targets K times (n, D_k)."""
+        parts = self.cnn(images, moved).float().chunk(len(targets))
+        return torch.stack([F.smooth_l1_loss(h(x), y, beta=0.5) for h, x, y in zip(self.heads, parts, targets)]).mean()
+
+
+def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
+    """Train, or go on from the checkpoint; write backbone.safetensors and backbone.json."""
+    settings = config.backbone
+    frames = [Frames.load(path, TASKS[task.name].privileged, settings.frames, ctx.device) for path, task in zip(inputs["rollouts"], config.tasks)]
+    generator = torch.Generator().manual_seed(settings.seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        backbone = PrivilegedBackbone(settings.dim, [len(each.names) for each in frames]).to(ctx.device)
+    optimiser = torch.optim.AdamW(backbone.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    notes = restore_training(ctx.state, backbone, optimiser, generator) or {"step": 0}
+    ctx.metrics.rewind(notes["step"])
+    with ctx.progress(settings.steps, "training the backbone", done=notes["step"]) as bar:
+        for step in range(notes["step"] + 1, settings.steps + 1):
+            loss = _step(backbone, optimiser, frames, settings, step, generator)
+            if step % LOG_EVERY == 0:
+                ctx.metrics.log(step, loss=loss.item())
+                bar.update(LOG_EVERY, loss=loss.item())
+            if step % VALIDATE_EVERY == 0 or step == settings.steps:
+                ctx.metrics.log(step, **_flat(_validate(backbone, frames, config)))
+            if step % settings.checkpoint_every == 0:
+                ctx.metrics.flush()
+                save_training(ctx.state, backbone, optimiser, generator, {"step": step})
+    save_file({k: v.cpu().contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
+    meta = {"kind": "privileged", "dim": settings.dim, "tasks": _validate(backbone, frames, config)}
+    (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
+
+
+def load(folder: Path) -> PrivilegedBackbone:
+    """What `make` wrote."""
+    meta = json.loads((folder / "backbone.json").read_text())
+    weights = load_file(folder / "backbone.safetensors")
+    sizes = [weights[f"heads.{k}.bias"].shape[0] for k in range(len(meta["tasks"]))]
+    backbone = PrivilegedBackbone(meta["dim"], sizes)
+    backbone.load_state_dict(weights)
+    return backbone
+
+
+def _step(
+    backbone: PrivilegedBackbone,
+    optimiser: torch.optim.Optimizer,
+    frames: list[Frames],
+    settings: BackboneConfig,
+    step: int,
+    generator: torch.Generator,
+) -> Tensor:
+    """One update; `step` counts from 1."""
+    backbone.train()
+    rate = settings.learning_rate * min(1.0, step / WARM_UP) * 0.5 * (1 + math.cos(math.pi * (step - 1) / settings.steps))
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    n = max(2, settings.batch // len(frames))
+    drawn = [each.training[torch.randint(len(each.training), (n,), generator=generator).to(each.training.device)] for each in frames]
+    images = torch.cat([each.images[rows] for each, rows in zip(frames, drawn)])
+    moved = None
+    if settings.shift:
+        images, moved = shift(images, settings.shift, generator)
+    if settings.brightness:
+        images = brighten(images, settings.brightness, generator)
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+        loss = backbone.loss(images, moved, [each.targets[rows] for each, rows in zip(frames, drawn)])
+    optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    optimiser.step()
+    return loss.detach()
+
+
+@torch.no_grad()
+def _validate(backbone: PrivilegedBackbone, frames: list[Frames], config: BackboneRequest) -> dict[str, dict]:
+    """Task -> target -> R^2 on the held-out episodes (none for a target that does not vary there) and error in its own unit."""
+    backbone.eval()
+    found = {}
+    for task, head, each in zip(config.tasks, backbone.heads, frames):
+        predicted = torch.cat([head(backbone.cnn(each.images[rows])) for rows in each.validation.split(256)])
+        error = (predicted - each.targets[each.validation]).square().mean(0)
+        spread = each.targets[each.validation].var(0, correction=0)
+        r2 = torch.where(spread > 1e-6, 1 - error / spread, torch.nan).tolist()
+        rmse = (error.sqrt() * each.std).tolist()
+        found[task.name] = {name: {"r2": None if math.isnan(r) else r, "rmse": e} for name, r, e in zip(each.names, r2, rmse)}
+    return found
+
+
+def _flat(found: dict[str, dict]) -> dict[str, float]:
+    """As curves: `r2/<task>/<target>`."""
+    curves = {f"r2/{task}/{name}": figures["r2"] for task, targets in found.items() for name, figures in targets.items()}
+    return {name: value for name, value in curves.items() if value is not None}
