@@ -32,7 +32,8 @@ LOCK_WAIT_S = 60.0
 METRICS_A_CALL, PARAMS_A_CALL, LONGEST_VALUE = 1000, 100, 5000
 """MLflow's limits; a longer parameter or tag is cut."""
 FIGURES = (".svg", ".png")
-NOT_RESULTS = ("manifest.json", "checksums.json", "run.json")
+RESULTS = ("card.json", "quality.json", "health.json", "summary.json")
+"""Files of a payload whose numbers are worth a column; in the others stand settings, which are parameters already."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ def _times(path: Path) -> tuple[int | None, int | None]:
 
 
 def _metrics(path: Path, ended_ms: int | None) -> Iterator["Metric"]:
-    """Every curve, then each number in the payload's JSON files as one point, e.g. quality.within_state.mean."""
+    """Every curve, then each number among the results as one point, e.g. quality.within_state.mean."""
     from mlflow.entities import Metric
 
     stamp = ended_ms or 0
@@ -199,12 +200,20 @@ def _metrics(path: Path, ended_ms: int | None) -> Iterator["Metric"]:
         step = row.pop("step")
         for name, value in row.items():
             yield Metric(_allowed(name), value, stamp, step)
-    for file in sorted(path.glob("*.json")):
-        if file.name in NOT_RESULTS:
+    for file in (path / name for name in RESULTS):
+        if not file.exists():
             continue
-        for name, value in _flatten(json.loads(file.read_text(encoding="utf-8")), file.stem):
-            if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-                yield Metric(_allowed(name), float(value), stamp, 0)
+        for name, value in _numbers(json.loads(file.read_text(encoding="utf-8")), file.stem):
+            yield Metric(_allowed(name), value, stamp, 0)
+
+
+def _numbers(value: object, name: str) -> Iterator[tuple[str, float]]:
+    """The numbers in nested maps; lists are tables, which MLflow cannot show."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _numbers(item, f"{name}.{key}")
+    elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        yield name, float(value)
 
 
 def _param(name: str, value: object) -> Any:
