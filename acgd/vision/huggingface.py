@@ -39,7 +39,7 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
         model = AutoModel.from_pretrained(path, local_files_only=True, use_safetensors=True)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} is no folder of a transformers model with safetensors weights ({error}). Write it with save_pretrained.") from error
-    model = getattr(model, "vision_model", model)
+    model = _vision_part(model)
     mean, std = _statistics(path)
     meta = {
         "kind": "huggingface",
@@ -59,9 +59,14 @@ def load(folder: Path) -> HuggingFaceBackbone:
 
     meta = json.loads((folder / "backbone.json").read_text())
     settings = dict(meta["model"])
-    model = AutoModel.from_config(AutoConfig.for_model(settings.pop("type"), **settings))
+    model = _vision_part(AutoModel.from_config(AutoConfig.for_model(settings.pop("type"), **settings)))
     model.load_state_dict(load_file(folder / "backbone.safetensors"))
     return HuggingFaceBackbone(model, meta["size"], meta["mean"], meta["std"])
+
+
+def _vision_part(model: nn.Module) -> nn.Module:
+    """The tower that sees, of a model that also reads."""
+    return getattr(model, "vision_model", model)
 
 
 def _statistics(path: Path) -> tuple[list[float], list[float]]:
