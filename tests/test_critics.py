@@ -94,12 +94,12 @@ def test_horizon_one_is_one_step_fitted_q_evaluation():
 
 
 def test_fit_recovers_the_q_of_a_linear_problem():
-    # V(s) = s / (1 - 0.8 * 0.9) = 3.5714 s;  Q(s, a) = s + 0.5 a + 0.9 V(0.8 s + 0.2 a) = 3.5714 s + 1.142857 a
-    critic = fitted(linear_problem(), CriticConfig(width=32, updates=800, batch=64, target_every=20, lr=3e-3))
+    # V(s) = s / (1 - 0.8 * 0.5) = 5/3 s;  Q(s, a) = s + 0.5 a + 0.5 V(0.8 s + 0.2 a) = 5/3 s + 2/3 a
+    critic = fitted(linear_problem(), CriticConfig(width=32, updates=500, batch=64, target_every=20, lr=5e-3), gamma=0.5)
     state = torch.tensor([[0.5], [-0.5], [0.2], [0.0]])
     action = torch.tensor([[0.0], [0.5], [-0.8], [0.6]])
-    expected = 3.5714 * state[:, 0] + 1.142857 * action[:, 0]
-    assert torch.allclose(critic(state, action), expected.expand(2, -1), atol=0.15)
+    expected = 5 / 3 * state[:, 0] + 2 / 3 * action[:, 0]
+    assert torch.allclose(critic(state, action), expected.expand(2, -1), atol=0.1)
 
 
 def test_terminated_transitions_are_worth_their_reward():
@@ -123,16 +123,16 @@ def test_within_state_regression_ranks_actions_where_the_value_of_states_drowns_
     action = rng.uniform(-1, 1, (800, 1)).astype(np.float32)
     data = replace(
         linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
-        reward=(100 * np.sin(9 * state) + 0.5 * action)[:, 0],
+        reward=(30 * np.sin(3 * state) + 0.5 * action)[:, 0],
     )  # fmt: skip
-    config = CriticConfig(width=16, updates=300, batch=64, lr=3e-3, branches=BranchConfig(states=200, actions=4))
+    config = CriticConfig(width=16, updates=300, batch=64, lr=1e-2, branches=BranchConfig(states=200, actions=4))
     tried = torch.linspace(-1, 1, 8)[:, None]
-    rising = {}
+    ranked = {}
     for weight in (0.0, 1.0):
         critic = fitted(data, config.model_copy(update={"within_state": weight}))
-        q = critic(torch.full((8, 1), 0.3), tried).mean(0).detach().numpy()
-        rising[weight] = quality.rank_correlations(q[None], tried.T.numpy())[0]
-    assert rising[1.0] > 0.95 > rising[0.0] or rising[1.0] > 0.99
+        q = [critic(torch.full((8, 1), at), tried).mean(0).detach().numpy() for at in (-0.7, -0.2, 0.3, 0.8)]
+        ranked[weight] = quality.rank_correlations(np.stack(q), np.repeat(tried.T.numpy(), 4, 0)).mean()
+    assert ranked[1.0] > 0.7 > 0.5 > ranked[0.0]
 
 
 def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
