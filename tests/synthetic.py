@@ -39,7 +39,7 @@ def rollouts(directory: Path, task: int, episodes: int = 10, length: int = 20, s
     if images:
         arrays["image"] = rng.integers(0, 256, (len(t), 32, 32, 3), dtype=np.uint8)
         arrays["final_image"] = rng.integers(0, 256, (episodes, 32, 32, 3), dtype=np.uint8)
-    write_group(directory / "rollouts.zarr", arrays, {"reward_terms": []})
+    write_group(directory / "rollouts.zarr", arrays, {"reward_terms": [], "state_layout": {"everything": [0, state]}})
     features = rng.normal(size=(len(t), F)).astype(np.float32) * 0.1
     features[:, 0] = angle
     final = rng.normal(size=(episodes, F)).astype(np.float32)

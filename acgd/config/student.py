@@ -16,9 +16,9 @@ NonNegative = Annotated[float, Field(ge=0)]
 class TrainingConfig(Section):
     """One optimisation run: the same fields for codebook and student."""
 
-    steps: Positive = Field(2000, description="optimiser steps")
-    batch: Positive = Field(256, description="windows in a batch, spread evenly over the tasks")
-    learning_rate: Annotated[float, Field(gt=0)] = Field(1e-3, description="peak learning rate of AdamW")
+    steps: Positive = Field(3000, description="optimiser steps")
+    batch: Positive = Field(64, description="windows in a batch, spread evenly over the tasks")
+    learning_rate: Annotated[float, Field(gt=0)] = Field(2e-3, description="peak learning rate of AdamW")
     schedule: Literal["cosine", "constant"] = Field("cosine", description="learning rate after the warm-up")
     warmup: Annotated[int, Field(ge=0)] = Field(100, description="steps of linear warm-up")
     weight_decay: NonNegative = Field(0.01, description="decoupled weight decay of the weight matrices")
@@ -27,7 +27,7 @@ class TrainingConfig(Section):
         0.1, description="standard deviation of Gaussian noise on the normalised image features and proprioception while training"
     )
     precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training")
-    validate_every: Positive = Field(200, description="steps between validations; the best of them is kept")
+    validate_every: Positive = Field(250, description="steps between validations; the best of them is kept")
     log_every: Positive = Field(100, description="steps between rows of metrics", json_schema_extra={"key": False})
     checkpoint_every: Positive = Field(500, description="steps between checkpoints for resumption", json_schema_extra={"key": False})
 
@@ -44,8 +44,8 @@ class CodebookConfig(Section):
     )
     width: Positive = Field(128, description="width of every embedding, n_q of the codes included")
     heads: Positive = Field(4, description="attention heads")
-    encoder_layers: Positive = Field(2, description="transformer layers of phi_act")
-    decoder_layers: Positive = Field(2, description="transformer layers of psi_dec")
+    encoder_layers: Positive = Field(1, description="transformer layers of phi_act")
+    decoder_layers: Positive = Field(1, description="transformer layers of psi_dec")
     expansion: Positive = Field(2, description="hidden width of feed-forward networks, in widths")
     goal_image: Literal["own", "any", "off"] = Field(
         "any",
@@ -57,7 +57,7 @@ class CodebookConfig(Section):
         "raw", description="measure actions as they are, or as the muscle excitation that MyoSuite makes of them"
     )
     code_weight: NonNegative = Field(0.1, description="weight of L_code")
-    usage_weight: NonNegative = Field(1.0, description="weight of the bonus on the entropy of the batch's mean code usage")
+    usage_weight: NonNegative = Field(0.1, description="weight of the bonus on the entropy of the batch's mean code usage")
     training: TrainingConfig = Field(TrainingConfig(), description="optimisation")
 
     @model_validator(mode="after")

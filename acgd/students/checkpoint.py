@@ -1,7 +1,6 @@
 """Checkpoints of a training run: one safetensors file, replaced in one rename, so that a kill leaves the old or the new one."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,15 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from acgd.artifacts.atomic import replace_file
+
 FILE = "checkpoint.safetensors"
 
 
 def save(directory: Path, tensors: dict[str, Tensor], notes: dict[str, Any]) -> None:
     """Tensors, with `notes` as JSON in the header of the same file."""
-    directory.mkdir(parents=True, exist_ok=True)
-    temporary = directory / f"{FILE}.tmp"
-    save_file({name: value.detach().cpu().contiguous() for name, value in tensors.items()}, temporary, metadata={"notes": json.dumps(notes)})
-    with open(temporary, "rb") as file:
-        os.fsync(file.fileno())
-    os.replace(temporary, directory / FILE)
+    ready = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    replace_file(directory / FILE, lambda draft: save_file(ready, draft, metadata={"notes": json.dumps(notes)}))
 
 
 def load(directory: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
