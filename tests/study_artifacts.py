@@ -109,6 +109,7 @@ def critic(root: Path, slug: str, task: str, rng: np.random.Generator, skill: fl
     pd.DataFrame(rows, columns=columns).to_csv(folder.path / "within_state.csv", index=False)
     mean, half = float(np.mean(found)), 2.04 * float(np.std(found)) / 32**0.5
     within = {"mean": mean, "low": mean - half, "high": mean + half, "states": 32, "candidates": 16}
+    folder.lines("metrics.jsonl", [{"step": s, "value_loss": 1 / s, "branch_loss": 2 / s, "target_shift": "nan" if s == 1 else 0.1} for s in range(1, 2000, 100)])
     gain = {"critic": 0.01, "simulator": 0.02}
     others = {"bellman_error": 0.11, "rank_correlation_monte_carlo": 0.93, "spread": 12.5, "simulator_steps": 50_000, "gain_of_best_candidate": gain}
     folder.json("quality.json", {"within_state": within, "within_state_near": {**within, "candidates": 12}, **others})

@@ -61,6 +61,14 @@ def test_success_has_one_row_per_variant_seed_task_and_rule_with_its_interval(ma
     assert (row.rate, row.low, row.high) == pytest.approx((0.72, expected.low, expected.high), abs=1e-6)
 
 
+def test_conditions_that_a_student_without_goal_cannot_tell_apart_count_once(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path, {"acgd": [0.6]}, seeds=(0,), shuffled=None)
+    episodes = inputs["evaluation"][0] / "episodes.jsonl"
+    episodes.write_text(2 * episodes.read_text())
+    evidence = Evidence.of(request, {name: [Artifact(path) for path in inputs.get(name, [])] for name in STAGES})
+    assert evidence.success.query("kind == 'student'")["episodes"].tolist() == [25, 25, 25]
+
+
 def test_controls_are_rows_of_the_same_table(made) -> None:
     table = pd.read_csv(made[0] / "success.csv")
     controls = set(table.loc[table["kind"] == "control", "variant"])
@@ -94,7 +102,7 @@ def test_ids_of_the_figures_do_not_collide(made) -> None:
 
 def test_figures_are_files_too_and_well_formed(made) -> None:
     names = {path.stem for path in made[0].glob("*.svg")}
-    assert names == {"success", "paired", "curves", "codebook-curves", "backbone-curves", "experts", "critics", "guidance"}
+    assert names == {"success", "paired", "curves", "codebook-curves", "backbone-curves", "experts", "critics", "critic-curves", "guidance"}
     for path in made[0].glob("*.svg"):
         ElementTree.parse(path)
         assert "<dc:date>" not in path.read_text()

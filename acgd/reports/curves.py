@@ -23,6 +23,11 @@ CODEBOOK = {
     "l_code": "training L_code",
     "l_usage": "nats from uniform usage",
 }
+CRITIC = {
+    "value_loss": "regression on y",
+    "branch_loss": "regression within states",
+    "target_shift": "shift of the targets",
+}
 NOT_CURVES = ("step", "learning_rate", "best_step")
 
 

@@ -34,6 +34,10 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
         chosen = curves.every(runs) if columns is None else curves.logged(runs, columns)
         if chosen:
             drawn["curves" if stage == "student" else f"{stage}-curves"] = figures.curves(runs, chosen, variants)
+    found = chain.used(request, "critic", artifacts["critic"])
+    fits = {label: [artifact.curves()] for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)}
+    if curves.logged(fits, curves.CRITIC):
+        drawn["critic-curves"] = figures.curves(fits, curves.logged(fits, curves.CRITIC), list(fits))
     experts = _expert_curves(request, artifacts["expert"])
     if experts:
         drawn["experts"] = figures.expert_curves(experts, rule)

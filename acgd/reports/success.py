@@ -41,6 +41,7 @@ def _of_student(entry: ReportEntry, evaluation: Artifact) -> pd.DataFrame:
     rows = pd.DataFrame(evaluation.json_lines("episodes.jsonl"))
     if rows.empty:
         return pd.DataFrame(columns=EPISODE)
+    rows = rows.drop_duplicates(["task", "episode_seed", *CONDITION])  # without a goal image, conditions that differ in it are one
     rows = rows.assign(parent=entry.variant, seed=entry.seed, episode=rows["episode_seed"])
     headline = rows.loc[0, CONDITION]
     names = {condition: _name(entry.variant, headline, pd.Series(condition, CONDITION)) for condition in rows[CONDITION].itertuples(index=False, name=None)}
