@@ -135,7 +135,8 @@ def _imported(name: str) -> Any:
 
 
 def _say(place: str, what: str) -> None:
-    print(f"{place}: {what}", file=sys.stderr, flush=True)
+    sys.stderr.write(f"{place}: {what}\n")  # one call: jobs side by side share the terminal
+    sys.stderr.flush()
 
 
 def parse(text: str) -> dict[str, Any]:

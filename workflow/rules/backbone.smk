@@ -13,6 +13,7 @@ rule backbone:
     params:
         request=request("backbone"),
         known_as=known_as("backbone"),
+    priority: 20
     threads: 1
     shell:
         MAKE

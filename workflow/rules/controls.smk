@@ -13,6 +13,7 @@ rule controls:
     params:
         request=request("controls"),
         known_as=known_as("controls"),
+    priority: -10
     threads: 1
     shell:
         MAKE

@@ -13,6 +13,7 @@ rule critic:
     params:
         request=request("critic"),
         known_as=known_as("critic"),
+    priority: 10
     threads: 1
     shell:
         MAKE

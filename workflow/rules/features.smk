@@ -13,6 +13,7 @@ rule features:
     params:
         request=request("features"),
         known_as=known_as("features"),
+    priority: 20
     threads: 1
     shell:
         MAKE

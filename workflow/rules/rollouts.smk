@@ -13,6 +13,7 @@ rule rollouts:
     params:
         request=request("rollouts"),
         known_as=known_as("rollouts"),
+    priority: 20
     threads: 1
     shell:
         MAKE
