@@ -85,7 +85,7 @@ def artifacts(tmp_path_factory) -> dict[str, list[Path]]:
         }
         place = folder / task.name.replace("/", "-")
         (place / "expert").mkdir(parents=True)
-        write_group(place / "rollouts.zarr", arrays, {"task": task.name, "reward_terms": []})
+        write_group(place / "rollouts.zarr", arrays, {"task": task.name, "reward_terms": [], "state_layout": {}})
         acts.save(place / "expert")
         found["rollouts"].append(place)
         found["experts"].append(place / "expert")

@@ -28,14 +28,15 @@ def controls(config: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
     seeds = [[seeds_of(start, settings.split, settings.episodes) for start in row] for row in starts]
     episodes: list[Episode] = []
     with ctx.progress(sum(len(s) for row in seeds for s in row), "controls") as bar:
-        for place, task in enumerate(tasks):
-            lock = Lockstep(task, size, image=False)
+        for place in range(len(tasks)):
             demonstrations = Demonstrations.load(inputs["rollouts"][place], ["action", "state"])
             expert = Expert.load(inputs["experts"][place])
-            for name, start, chosen in zip(CONTROLS, starts[place], seeds[place], strict=True):
-                there = lock if start == task else Lockstep(start, size, image=False)
-                label = Label(name, task.name, "none", "none", start.start)
-                episodes += run(there, chosen, _policies(name, demonstrations, expert, size), label, ctx.state, bar)[0]
+            for start in dict.fromkeys(starts[place]):
+                lock = Lockstep(start, size, image=False)
+                for name, chosen in ((n, s) for n, at, s in zip(CONTROLS, starts[place], seeds[place], strict=True) if at == start):
+                    label = Label(name, start.name, "none", "none", start.start)
+                    episodes += run(lock, chosen, _policies(name, demonstrations, expert, size), label, ctx.state, bar)[0]
+                del lock  # before the next one is made: an environment is some 50 MB
     write(ctx.out / "episodes.jsonl", episodes)
     rows = write_summary(ctx.out / "summary.json", episodes, split=settings.split)
     ctx.metrics.log(0, **{f"{row['control']}/{row['task']}/{row['rule']}": row["rate"] for row in rows})

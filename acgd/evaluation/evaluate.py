@@ -1,6 +1,7 @@
 """The stage `evaluation`: a student on held-out seeds, task by task, under each condition."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from acgd.students import load as load_student
 from acgd.students.acting import Actor
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.registry import TASKS
+from acgd.tracking.progress import Bar
 from acgd.vision.backbones import load as load_backbone
 
 
@@ -45,17 +47,10 @@ def evaluate(config: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     with ctx.progress(sum(len(r.seeds) for r in rounds), "evaluating") as bar:
         for start in dict.fromkeys(r.task for r in rounds):
             here = [r for r in rounds if r.task == start]
-            goals = {this: goal_images(this, inputs, settings.lockstep) for this in here}
-            lock = Lockstep(start, settings.lockstep, image=True)
-            for this in here:
-
-                def policy(batch: list[int], this: Round = this) -> Policy:
-                    images = None if goals[this] is None else goals[this][[this.seeds.index(seed) for seed in batch]]
-                    return StudentPolicy(actor, this.place, batch, images, settings.lockstep, shuffled=this.label.image_features == "shuffled")
-
-                episodes[this], actions = run(lock, list(this.seeds), policy, this.label, ctx.state, bar)
+            for this, (ended, actions) in zip(here, _act(actor, here, inputs, settings.lockstep, ctx.state, bar), strict=True):
+                episodes[this] = ended
                 if settings.clips and this in headline:
-                    film_both(ctx.out / "clips", start, episodes[this], actions)
+                    film_both(ctx.out / "clips", start, ended, actions)
     everything = [episode for this in rounds for episode in episodes[this]]
     write(ctx.out / "episodes.jsonl", everything)
     rows = write_summary(ctx.out / "summary.json", everything, student_seed=config.seed, split=settings.split, acting=settings.acting.model_dump())
@@ -72,6 +67,18 @@ def plan(config: EvaluationRequest, *, uses_goal: bool) -> list[Round]:
             if label not in rounds:
                 rounds[label] = Round(place, start, label, tuple(seeds_of(start, settings.split, settings.episodes)))
     return list(rounds.values())
+
+
+def _act(actor: Actor, rounds: list[Round], inputs: Inputs, size: int, state: Path, bar: Bar) -> list[tuple[list[Episode], dict[int, np.ndarray]]]:
+    """Episodes and actions of rounds from one start. Its environments, some 0.1 GB each, live no longer than this call."""
+    goals = [goal_images(this, inputs, size) for this in rounds]
+    lock = Lockstep(rounds[0].task, size, image=True)
+
+    def policy(this: Round, images: np.ndarray | None, batch: list[int]) -> Policy:
+        mine = None if images is None else images[[this.seeds.index(seed) for seed in batch]]
+        return StudentPolicy(actor, this.place, batch, mine, size, shuffled=this.label.image_features == "shuffled")
+
+    return [run(lock, list(this.seeds), partial(policy, this, images), this.label, state, bar) for this, images in zip(rounds, goals, strict=True)]
 
 
 class StudentPolicy:
