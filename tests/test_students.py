@@ -354,7 +354,7 @@ def test_codebook_artifact_and_health(codebook_dir):
 
 def test_student_learns_a_small_dataset(rollouts, critics, tmp_path):
     """Codebook and guided student on two tasks: reconstruction, planning and Q all improve; codes carry the chunk."""
-    training = {"steps": 150, "batch": 64, "validate_every": 50, "log_every": 50, "checkpoint_every": 1000, "learning_rate": 3e-3, "input_noise": 0.0}
+    training = {"steps": 250, "batch": 64, "validate_every": 50, "log_every": 50, "checkpoint_every": 1000, "learning_rate": 3e-3, "input_noise": 0.0}
     request = synthetic.codebook_request(training=training)
     book = run(fit_codebook.fit, request, {"rollouts": rollouts, "features": rollouts}, tmp_path / "codebook")
     health = json.loads((book / "health.json").read_text())
