@@ -256,7 +256,8 @@ def test_interval_is_students():
 
 def test_discounted_returns():
     data = replace(linear_problem(4), reward=np.array([1, 2, 4, 8], np.float32), ends=np.array([3, 4]))
-    assert quality.discounted(data, 0.5).tolist() == [3.0, 4.0, 4.0, 8.0]
+    assert quality.discounted(data, 0.5, steps=5).tolist() == [3.0, 4.0, 4.0, 8.0]
+    assert quality.discounted(data, 0.5, steps=2).tolist() == [2.0, 4.0, 4.0, 8.0]
 
 
 # -- with the simulator ----------------------------------------------------------------------------

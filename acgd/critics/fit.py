@@ -9,7 +9,7 @@ from acgd.artifacts.stage import Context, Inputs
 from acgd.config.critic import CriticConfig, CriticRequest
 from acgd.critics import quality
 from acgd.critics.fitted_q import FittedQ
-from acgd.critics.gather import branches, candidates, rollouts
+from acgd.critics.gather import CANDIDATES, branches, candidates, rollouts
 from acgd.critics.transitions import Transitions, concatenate
 from acgd.experts.policy import Expert
 from acgd.tasks.lockstep import Lockstep
@@ -60,10 +60,17 @@ def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, pro
         raise ValueError(f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states")
     rng = np.random.default_rng([config.seed, 0])
     chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
-    actions, _ = candidates(expert, chosen, branch.actions, rng)
+    actions = _some_of(candidates(expert, chosen, max(branch.actions, 1 + len(CANDIDATES)), rng)[0], branch.actions, rng)
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
     return concatenate([data, tried])
+
+
+def _some_of(actions: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(V, K, A) -> (V, count, A): in each state the first, which is the expert's mean, and others by lot."""
+    others = np.argsort(rng.random(actions.shape[:2])[:, 1:], 1)[:, : count - 1] + 1
+    picked = np.concatenate([np.zeros((len(actions), 1), int), others], 1)
+    return np.take_along_axis(actions, picked[:, :, None], 1)
 
 
 def _gathered(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, kept: Path, progress: Progress) -> Transitions:

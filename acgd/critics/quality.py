@@ -15,6 +15,7 @@ from scipy import stats
 from acgd.config.critic import CriticConfig
 from acgd.critics.ensemble import Critic
 from acgd.critics.gather import Visit, branches, candidates, rollouts
+from acgd.critics.perturbations import Kind
 from acgd.critics.transitions import Transitions
 from acgd.experts.policy import Expert
 from acgd.tasks.lockstep import Lockstep
@@ -43,7 +44,7 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
     with progress(actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
     first = tried.starts
-    returns = discounted(tried, gamma)[first].reshape(actions.shape[:2])
+    returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
     q = _values(critic, tried.state[first], tried.action[first])
     q_mean, q_std = q.mean(0).reshape(returns.shape), q.std(0).reshape(returns.shape)
     correlation = rank_correlations(q_mean, returns)
@@ -52,7 +53,7 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
     spread = float(critic.spread)
     return {
         "bellman_error": bellman_error(critic, data, gamma),
-        "rank_correlation_monte_carlo": _monte_carlo(critic, data, kinds, limit, gamma),
+        "rank_correlation_monte_carlo": _monte_carlo(critic, data, kinds, limit, gamma, quality.tail),
         "within_state": interval(correlation) | {"candidates": quality.candidates},
         "within_state_near": interval(rank_correlations(q_mean[:, near], returns[:, near])) | {"candidates": len(near)},
         "prefers_expert": _preferences(sources, q_mean, returns),
@@ -75,13 +76,16 @@ def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit
     return [found[rng.integers(len(found))] for found in by_episode.values()]
 
 
-def discounted(data: Transitions, gamma: float) -> np.ndarray:
-    """(N,) float64, the discounted rewards from each row to the end of its episode."""
-    returns, last = np.zeros(len(data)), set((data.ends - 1).tolist())
-    following = 0.0
-    for t in range(len(data) - 1, -1, -1):
-        following = float(data.reward[t]) + (0.0 if t in last else gamma * following)
-        returns[t] = following
+def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
+    """(N,) float64, the discounted rewards of the `steps` rows from each on, fewer only where its episode ends before.
+
+    Every return is cut at the same length: a tail that shrinks towards the end of an episode would be a clock.
+    """
+    end = np.repeat(data.ends, data.ends - data.starts)
+    returns, rows = np.zeros(len(data)), np.arange(len(data))
+    for j in range(steps):
+        rows = rows[rows + j < end[rows]]
+        returns[rows] += gamma**j * data.reward[rows + j].astype(np.float64)
     return returns
 
 
@@ -109,9 +113,9 @@ def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
     return float(np.sqrt((error**2).mean()) / target.std())
 
 
-def _monte_carlo(critic: Critic, data: Transitions, kinds: list, limit: int, gamma: float) -> float:
+def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: int, gamma: float, tail: int) -> float:
     """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit."""
-    returns = discounted(data, gamma)
+    returns = discounted(data, gamma, tail)
     rows = np.concatenate(
         [np.arange(start, min(end, start + limit)) for start, end, (name, _) in zip(data.starts, data.ends, kinds) if name == "clean"]
     )
