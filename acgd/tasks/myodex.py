@@ -98,8 +98,8 @@ class MyoDexTask(gymnasium.Env):
 
         self._renderer = None
         self._image = image
-        if not image and spec.name != "myo/obj-hold-hard":  # which refreshes geoms from the spec at every reset
-            self.base._mj_spec = None  # 40 MB an environment
+        if spec.name != "myo/obj-hold-hard":  # which refreshes geoms from the spec at every reset
+            self.base._mj_spec = None  # 40 to 70 MB an environment
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self.base.reset(seed=0)
         entries = self._state_entries()
