@@ -66,7 +66,9 @@ def study(
     if features:
         inputs["features"] = [Folder(root, "features", task.replace("/", "-"), {}).path for task in tasks]
     backbone = Folder(root, "backbone", "privileged", {})
-    backbone.lines("metrics.jsonl", [{"step": s, "loss": 2 / (1 + s / 100), "validation_error": 1 / (1 + s / 200)} for s in range(0, 2000, 100)])
+    backbone.lines("metrics.jsonl", [{"step": s, "loss": 2 / (1 + s / 100), "r2/myo/key-turn/key": 1 - 1 / (1 + s / 200), "r2/myo/key-turn/turn": 0.5} for s in range(0, 2000, 100)])
+    seen = {"key": {"r2": 0.97, "rmse": 0.002}, "turn": {"r2": 0.41, "rmse": 0.1}, "fixed": {"r2": None, "rmse": 0.0}}
+    backbone.json("backbone.json", {"kind": "privileged", "dim": 64, "tasks": {task: seen for task in tasks}} if features else {"kind": "scratch", "dim": 64})
     inputs["backbone"].append(backbone.path)
     if controls:
         inputs["controls"] = [control_runs(root, tasks, episodes)]

@@ -11,7 +11,8 @@ from acgd.reports.ledger import places
 
 CRITICS = [
     "task", "variants", "within_state_mean", "within_state_low", "within_state_high", "states", "candidates",
-    "near_mean", "near_low", "near_high", "rank_correlation_monte_carlo", "bellman_error", "gain_critic", "gain_simulator", "spread", "simulator_steps", "key",
+    "near_mean", "near_low", "near_high",
+    "rank_correlation_monte_carlo", "bellman_error", "gain_critic", "gain_simulator", "spread", "simulator_steps", "key",
 ]  # fmt: skip
 
 
@@ -86,6 +87,18 @@ def candidates(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[st
 def ranks(candidates: pd.DataFrame) -> np.ndarray:
     """(states,): the rank correlation within each state; states whose candidates all return the same have none."""
     return candidates.groupby("state")["rank_correlation"].first().dropna().to_numpy()
+
+
+def backbones(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFrame:
+    """backbone.csv: how well each privileged backbone regresses each target from a held-out frame; r2 is empty where nothing varies."""
+    rows = []
+    for place, artifact in enumerate(artifacts):
+        variants = ", ".join(dict.fromkeys(entry.variant for entry in request.entries if entry.backbone == place))
+        told = artifact.json("backbone.json")
+        if told.get("kind") == "privileged":
+            found = [(task, target, figures) for task, targets in told["tasks"].items() for target, figures in targets.items()]
+            rows += [(variants, task, target, figures["r2"], figures["rmse"], artifact.key) for task, target, figures in found]
+    return pd.DataFrame(rows, columns=["variants", "task", "target", "r2", "rmse", "key"]).astype({"r2": float, "rmse": float})
 
 
 def gates(request: ReportRequest, students: Sequence[Artifact]) -> pd.DataFrame:

@@ -28,7 +28,6 @@ CRITIC = {
     "branch_loss": "regression within states",
     "target_shift": "shift of the targets",
 }
-NOT_CURVES = ("step", "learning_rate", "best_step")
 
 
 def by_variant(request: ReportRequest, stage: str, artifacts: Sequence[Artifact]) -> dict[str, list[pd.DataFrame]]:
@@ -52,10 +51,16 @@ def logged(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str
     return {column: title for column, title in columns.items() if column in found}
 
 
-def every(runs: Mapping[str, Sequence[pd.DataFrame]], most: int = 8) -> dict[str, str]:
-    """Whatever was logged, by its own name, at most so many columns."""
-    found = dict.fromkeys(column for frames in runs.values() for frame in frames for column in frame if column not in NOT_CURVES)
-    return {column: column.replace("_", " ") for column in list(found)[:most]}
+def backbone(request: ReportRequest, artifacts: Sequence[Artifact]) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
+    """Runs of trained backbones and the columns to show: the loss, and per task the mean R^2 over its targets."""
+    runs = by_variant(request, "backbone", artifacts)
+    for frames in runs.values():
+        for frame in frames:
+            for task in request.tasks:
+                of_task = [column for column in frame if column.startswith(f"r2/{task}/")]
+                if of_task:
+                    frame[task] = frame[of_task].mean(axis=1)
+    return runs, logged(runs, {"loss": "training loss", **{task: f"R², {task}" for task in request.tasks}})
 
 
 def ratios(request: ReportRequest, students: Sequence[Artifact]) -> dict[tuple[str, str], list[pd.DataFrame]]:

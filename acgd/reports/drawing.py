@@ -29,11 +29,13 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
         drawn["success"] = figures.success(success.pooled(evidence.success, rule), request.tasks, variants)
     if len(evidence.paired):
         drawn["paired"] = figures.differences(evidence.paired, rule, variants, evidence.baseline)
-    for stage, columns in (("student", curves.STUDENT), ("codebook", curves.CODEBOOK), ("backbone", None)):
+    for name, stage, columns in (("curves", "student", curves.STUDENT), ("codebook-curves", "codebook", curves.CODEBOOK)):
         runs = curves.by_variant(request, stage, artifacts[stage])
-        chosen = curves.every(runs) if columns is None else curves.logged(runs, columns)
-        if chosen:
-            drawn["curves" if stage == "student" else f"{stage}-curves"] = figures.curves(runs, chosen, variants)
+        if curves.logged(runs, columns):
+            drawn[name] = figures.curves(runs, curves.logged(runs, columns), variants)
+    runs, chosen = curves.backbone(request, artifacts["backbone"])
+    if chosen:
+        drawn["backbone-curves"] = figures.curves(runs, chosen, variants)
     found = chain.used(request, "critic", artifacts["critic"])
     fits = {label: [artifact.curves()] for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)}
     if curves.logged(fits, curves.CRITIC):

@@ -27,6 +27,7 @@ class Evidence:
     demonstrations: pd.DataFrame
     critics: pd.DataFrame
     guidance: pd.DataFrame
+    backbone: pd.DataFrame
     codebook: pd.DataFrame
     stages: pd.DataFrame
     curves: pd.DataFrame
@@ -45,6 +46,7 @@ class Evidence:
             demonstrations=chain.demonstrations(request, artifacts["rollouts"]),
             critics=chain.critics(request, artifacts["critic"]),
             guidance=chain.gates(request, artifacts["student"]),
+            backbone=chain.backbones(request, artifacts["backbone"]),
             codebook=chain.codebooks(request, artifacts["codebook"]),
             stages=ledger.cost(request, artifacts),
             curves=curves.table(curves.by_variant(request, "student", artifacts["student"])),
@@ -52,7 +54,7 @@ class Evidence:
 
     def csv(self) -> dict[str, str]:
         """File name -> content; tables without a row are left out, but for success.csv."""
-        names = ("episodes", "success", "paired", "images", "experts", "demonstrations", "critics", "guidance", "codebook", "stages", "curves")
+        names = ("episodes", "success", "paired", "images", "experts", "demonstrations", "critics", "guidance", "backbone", "codebook", "stages", "curves")
         frames = {name: getattr(self, name) for name in names}
         return {
             f"{name}.csv": frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -58,10 +58,11 @@ def _cards(request: ReportRequest, evidence: Evidence) -> list[dict[str, str]]:
     mean = success.over_tasks(evidence.success, request.report.success)
     students = mean[mean["kind"] == "student"]
     shades = colours(list(dict.fromkeys(entry.variant for entry in request.entries)))
-    return [
-        {"name": row.variant, "value": f"{row.rate:.2f}", "interval": numbers.bracket(row.low, row.high).strip(), "seeds": row.seeds, "colour": shades[row.variant]}
-        for row in students.itertuples()
-    ]
+    cards = []
+    for row in students.itertuples():
+        interval = numbers.bracket(row.low, row.high).strip()
+        cards.append({"name": row.variant, "value": f"{row.rate:.2f}", "interval": interval, "seeds": row.seeds, "colour": shades[row.variant]})
+    return cards
 
 
 def _tables(request: ReportRequest, evidence: Evidence) -> dict[str, tables.Table]:
@@ -79,6 +80,7 @@ def _tables(request: ReportRequest, evidence: Evidence) -> dict[str, tables.Tabl
         "demonstrations": tables.demonstrations(evidence.demonstrations),
         "critics": tables.critics(evidence.critics),
         "guidance": tables.guidance(evidence.guidance),
+        "backbone": tables.backbone(evidence.backbone),
         "codebook": tables.plain(evidence.codebook, CODEBOOK, names=("variants", "seeds")),
         "stages": tables.cost(ledger.per_stage(evidence.stages)),
         "artifacts": tables.artifacts(evidence.stages),

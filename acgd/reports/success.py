@@ -44,8 +44,7 @@ def _of_student(entry: ReportEntry, evaluation: Artifact) -> pd.DataFrame:
     rows = rows.drop_duplicates(["task", "episode_seed", *CONDITION])  # without a goal image, conditions that differ in it are one
     rows = rows.assign(parent=entry.variant, seed=entry.seed, episode=rows["episode_seed"])
     headline = rows.loc[0, CONDITION]
-    names = {condition: _name(entry.variant, headline, pd.Series(condition, CONDITION)) for condition in rows[CONDITION].itertuples(index=False, name=None)}
-    named = [names[condition] for condition in rows[CONDITION].itertuples(index=False, name=None)]
+    named = [_name(entry.variant, headline, condition) for _, condition in rows[CONDITION].iterrows()]
     return rows.assign(variant=[name for name, _ in named], kind=[kind for _, kind in named])[EPISODE]
 
 
@@ -87,8 +86,9 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
     """
     rows = []
     for (variant, kind, task), group in success[success["rule"] == rule].groupby(["variant", "kind", "task"], sort=False):
-        interval = wilson(int(group["successes"].sum()), int(group["episodes"].sum()))
-        rows.append((variant, kind, task, group["episodes"].sum(), group["successes"].sum(), interval.mean, interval.low, interval.high, group["rate"].tolist()))
+        successes, n = int(group["successes"].sum()), int(group["episodes"].sum())
+        interval = wilson(successes, n)
+        rows.append((variant, kind, task, n, successes, interval.mean, interval.low, interval.high, group["rate"].tolist()))
     return pd.DataFrame(rows, columns=["variant", "kind", "task", "episodes", "successes", "rate", "low", "high", "by_seed"])
 
 

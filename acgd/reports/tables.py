@@ -154,15 +154,26 @@ def demonstrations(demonstrations: pd.DataFrame) -> Table:
     return Table(["task", "kept", "attempts", "failures", "frames", "environment steps"], rows)
 
 
+def backbone(backbone: pd.DataFrame) -> Table:
+    """Per task how much of object and goal a held-out frame tells; the worst target by name."""
+    rows = []
+    for (variants, task), group in backbone[backbone["r2"].notna()].groupby(["variants", "task"], sort=False):
+        worst = group.loc[group["r2"].idxmin()]
+        shown = [Cell(str(len(group))), Cell(numbers.plain(group["r2"].median())), Cell(numbers.plain(worst["r2"]), worst["target"])]
+        rows.append([name(task, variants if backbone["variants"].nunique() > 1 else ""), *shown])
+    return Table(["task", "targets", "median R²", "worst R²"], rows)
+
+
 def critics(critics: pd.DataFrame) -> Table:
     """The ranking within a state first, then what is easier."""
     rows = []
     for row in critics.itertuples():
         cells = [interval(row.within_state_mean, row.within_state_low, row.within_state_high), interval(row.near_mean, row.near_low, row.near_high)]
         others = (row.rank_correlation_monte_carlo, row.bellman_error, row.gain_critic, row.gain_simulator, row.spread)
-        rows.append([name(row.task), *cells, Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}"), *(Cell(numbers.figure(value)) for value in others)])
-    head = ["task", "rank within a state", "near candidates only", "states × actions", "rank, Monte Carlo", "Bellman error", "gain, critic's pick", "gain, best", "spread of Q"]
-    return Table(head, rows)
+        tried = Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}")
+        rows.append([name(row.task), *cells, tried, *(Cell(numbers.figure(value)) for value in others)])
+    head = ["task", "rank within a state", "near candidates only", "states × actions", "rank, Monte Carlo", "Bellman error"]
+    return Table([*head, "gain, critic’s pick", "gain, best", "spread of Q"], rows)
 
 
 def guidance(gates: pd.DataFrame) -> Table:
