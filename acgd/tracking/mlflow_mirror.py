@@ -113,8 +113,7 @@ class _Mirror:
         location = (root / self.study).as_uri()
         experiment = self.client.get_experiment_by_name(self.study)
         if experiment is None:
-            kind = {"mlflow.experimentKind": "custom_model_development"}  # else the page opens on chat traces, not on runs
-            experiment = self.client.get_experiment(self.client.create_experiment(self.study, location, tags=kind))
+            experiment = self.client.get_experiment(self.client.create_experiment(self.study, location))
         if experiment.artifact_location != location:  # MLflow stores absolute paths
             raise RuntimeError(f"this database belongs to {experiment.artifact_location}: results/ was moved or copied")
         if experiment.lifecycle_stage == "deleted":
