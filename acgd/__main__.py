@@ -31,10 +31,10 @@ def _parser() -> argparse.ArgumentParser:
 
     for stage in STAGES:
         verb = verbs.add_parser(stage, help=f"make one artifact of the stage {stage} (the workflow calls this)")
-        verb.add_argument("--request", required=True, help="what to make, as JSON")
+        verb.add_argument("request", type=Path, metavar="request.json", help="what to make: results/work/<stage>/<name>/<key>/request.json")
         verb.add_argument("--threads", type=int, default=1)
         verb.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
-        verb.set_defaults(run=_make)
+        verb.set_defaults(run=_make, stage=stage)
 
     verb = verbs.add_parser("check", help="validate studies, and list what each has yet to make")
     _studies(verb, "check")
@@ -77,9 +77,12 @@ def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
 
 
 def _make(options: argparse.Namespace) -> None:
-    from acgd.artifacts.job import make, parse
+    from acgd.artifacts.job import make, read_request
 
-    make(parse(options.request), Store(options.store), options.threads, options.device)
+    job = read_request(options.request)
+    if job["stage"] != options.stage:
+        raise ArtifactError(f"{options.request} asks for the stage {job['stage']}. Type: python -m acgd {job['stage']} {options.request}")
+    make(job, Store(options.store), options.threads, options.device)
 
 
 def _verify(options: argparse.Namespace) -> None:

@@ -335,8 +335,8 @@ def test_the_command_line_says_what_to_mend_and_fails_without_a_trace(tmp_path):
     (tmp_path / "config.yaml").write_text("studnet: {}")
     run = acgd("check", cwd=tmp_path)
     assert run.returncode == 1 and run.stderr == "error: config.yaml: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
-    run = acgd("critic", "--request", "{}", cwd=tmp_path)
-    assert run.returncode == 1 and "Traceback" not in run.stderr
+    run = acgd("critic", "config.yaml", cwd=tmp_path)
+    assert run.returncode == 1 and "config.yaml is no request" in run.stderr and "Traceback" not in run.stderr
 
 
 def test_check_lists_what_is_to_make(study, tmp_path):

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from acgd.artifacts.graph import plan
+from acgd.artifacts.job import request_file, write_requests
 from acgd.artifacts.store import Store, check
 from acgd.config import zoo
 from acgd.config.load import read_yaml
@@ -116,7 +117,8 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
     """Steps 1-4, before the first checkpoint; 5-9, after it; and after the second."""
     artifact = planned.names[name][0]
     folder = without(artifact)
-    job = [artifact.stage, "--request", artifact.job, "--device", "cpu"]
+    write_requests(Store(folder / "results"), planned)
+    job = [artifact.stage, str(request_file(Store(Path("results")), artifact.place)), "--device", "cpu"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     for steps in (random.randint(1, 4), random.randint(5, 9), random.randint(5, 7)):
         run = subprocess.run([sys.executable, "-c", STOPPED, str(steps), *job], cwd=folder, env=environment, capture_output=True, text=True)

@@ -45,7 +45,7 @@ def free(store: Store, files: Sequence[Path], yes: bool) -> None:
     """`acgd gc`: removes what no study names, and abandoned work; only says so unless `yes`."""
     kept = set(_users(plans(files)))
     folders = [(place, store.path(place)) for place in store.places() + store.unfinished()]
-    folders += [(str(lock.parent.relative_to(store.results / "work")), lock.parent) for lock in (store.results / "work").glob("*/*/*/lock")]
+    folders += [(str(request.parent.relative_to(store.results / "work")), request.parent) for request in (store.results / "work").glob("*/*/*/request.json")]
     freed = 0
     for place, folder in folders:
         if place in kept:

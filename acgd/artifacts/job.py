@@ -13,6 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from acgd.artifacts.atomic import replace_file
+from acgd.artifacts.graph import Plan
 from acgd.artifacts.key import identity, key_of
 from acgd.artifacts.stage import Context, Inputs
 from acgd.artifacts.store import ArtifactError, Store, Workspace, check
@@ -139,13 +141,24 @@ def _say(place: str, what: str) -> None:
     sys.stderr.flush()
 
 
-def parse(text: str) -> dict[str, Any]:
-    """The job in a `--request` argument."""
+def request_file(store: Store, place: str) -> Path:
+    """Where the workflow writes what a job is to make."""
+    return store.work(place) / "request.json"
+
+
+def write_requests(store: Store, plan: Plan) -> None:
+    """A request for each artifact that is not there."""
+    for place, artifact in plan.artifacts.items():
+        if not store.has(place):
+            replace_file(request_file(store, place), lambda draft, text=artifact.job: draft.write_text(text, encoding="utf-8"))
+
+
+def read_request(file: Path) -> dict[str, Any]:
     try:
-        job = json.loads(text)
+        job = json.loads(file.read_text(encoding="utf-8"))
         missing = {"stage", "name", "key", "request", "inputs"} - set(job)
-    except (ValueError, TypeError):
-        raise ArtifactError("--request is not JSON. The workflow writes it; to see it: snakemake -n -p <target>.") from None
+    except (OSError, ValueError, TypeError):
+        missing = {"everything"}
     if missing:
-        raise ArtifactError(f"--request lacks {', '.join(sorted(missing))}. The workflow writes it; to see it: snakemake -n -p <target>.")
+        raise ArtifactError(f"{file} is no request: it lacks {', '.join(sorted(missing))}. The workflow writes it: snakemake --cores 2 <target>.")
     return job

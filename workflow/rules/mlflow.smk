@@ -2,6 +2,8 @@
 rule mlflow:
     input:
         manifests(PLAN.artifacts.values(), unless=MIRRORED),
+    message:
+        "mlflow: mirrors the study"
     output:
         MIRRORED,
     log:

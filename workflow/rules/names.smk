@@ -19,6 +19,8 @@ rule name:
 rule publish:
     input:
         manifests([PLAN.report], unless=PUBLISHED[0]),
+    message:
+        f"publish: {RESULT}/report.html and the names of the study"
     output:
         PUBLISHED,
     params:
