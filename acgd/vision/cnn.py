@@ -38,14 +38,15 @@ class SmallCNN(nn.Module):
         """
         rows, columns, mass = self.centroids(images)
         if moved is not None:
-            shift = 2.0 * moved / (torch.tensor(images.shape[1:3], device=images.device) - 1)
-            rows, columns = rows - shift[:, :1], columns - shift[:, 1:]
-        return self.mix(self.standardise(torch.cat([rows, columns, mass], 1)))
+            shift = 2.0 * moved / torch.tensor(images.shape[1:3], device=images.device)
+            share = mass / (mass + 1)
+            rows, columns = rows - share * shift[:, :1], columns - share * shift[:, 1:]
+        return self.mix(self.standardise(torch.cat([rows, columns, (mass + 1).log()], 1)))
 
     def centroids(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Row and column in [-1, 1], and log of the mass in pixels, of each map, (B, MAPS)."""
+        """Row and column in (-1, 1), drawn to 0 where there is no mass, and the mass in cells, of each map, (B, MAPS)."""
         # a permuted (B, H, W, 3) image is channels_last already
         maps = self.convolutions(images.permute(0, 3, 1, 2).float().div(255.0)).float()
-        row, column = (torch.linspace(-1.0, 1.0, n, device=maps.device) for n in maps.shape[-2:])
+        row, column = ((2 * torch.arange(n, device=maps.device) + 1) / n - 1 for n in maps.shape[-2:])
         mass = maps.sum((2, 3))
-        return (maps.sum(3) @ row) / (mass + 1), (maps.sum(2) @ column) / (mass + 1), (mass + 1).log()
+        return (maps.sum(3) @ row) / (mass + 1), (maps.sum(2) @ column) / (mass + 1), mass

@@ -46,7 +46,7 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
         "size": config.backbone.size,
         "mean": mean,
         "std": std,
-        "model": {"type": model.config.model_type, **model.config.to_diff_dict()},
+        "model": {**model.config.to_diff_dict(), "model_type": model.config.model_type},
     }
     HuggingFaceBackbone(model, config.backbone.size, mean, std)  # a model that cannot see images of this size fails here
     save_file({k: v.contiguous().clone() for k, v in model.state_dict().items()}, ctx.out / "backbone.safetensors")
@@ -59,7 +59,7 @@ def load(folder: Path) -> HuggingFaceBackbone:
 
     meta = json.loads((folder / "backbone.json").read_text())
     settings = dict(meta["model"])
-    model = _vision_part(AutoModel.from_config(AutoConfig.for_model(settings.pop("type"), **settings)))
+    model = _vision_part(AutoModel.from_config(AutoConfig.for_model(settings.pop("model_type"), **settings)))
     model.load_state_dict(load_file(folder / "backbone.safetensors"))
     return HuggingFaceBackbone(model, meta["size"], meta["mean"], meta["std"])
 

@@ -115,20 +115,21 @@ def _step(
 
 @torch.no_grad()
 def _validate(backbone: PrivilegedBackbone, frames: list[Frames], config: BackboneRequest) -> dict[str, dict]:
-    """Task -> target -> R^2 on the held-out episodes (none for a target that does not vary there) and error in its own unit."""
+    """Task -> target -> R^2 on the held-out episodes, and root mean square error in the target's own unit.
+
+    R^2 is the share explained of the variance over the training frames: that over a handful of held-out
+    episodes says little about a goal, which is constant within each.
+    """
     backbone.eval()
     found = {}
     for task, head, each in zip(config.tasks, backbone.heads, frames):
         predicted = torch.cat([head(backbone.cnn(each.images[rows])) for rows in each.validation.split(256)])
         error = (predicted - each.targets[each.validation]).square().mean(0)
-        spread = each.targets[each.validation].var(0, correction=0)
-        r2 = torch.where(spread > 1e-6, 1 - error / spread, torch.nan).tolist()
-        rmse = (error.sqrt() * each.std).tolist()
-        found[task.name] = {name: {"r2": None if math.isnan(r) else r, "rmse": e} for name, r, e in zip(each.names, r2, rmse)}
+        rmse = error.sqrt() * each.std
+        found[task.name] = {name: {"r2": r, "rmse": e} for name, r, e in zip(each.names, (1 - error).tolist(), rmse.tolist())}
     return found
 
 
 def _flat(found: dict[str, dict]) -> dict[str, float]:
     """As curves: `r2/<task>/<target>`."""
-    curves = {f"r2/{task}/{name}": figures["r2"] for task, targets in found.items() for name, figures in targets.items()}
-    return {name: value for name, value in curves.items() if value is not None}
+    return {f"r2/{task}/{name}": figures["r2"] for task, targets in found.items() for name, figures in targets.items()}

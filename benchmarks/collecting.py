@@ -1,0 +1,64 @@
+"""Environment steps per second while demonstrations are recorded, with images and without: `python -m benchmarks.collecting`."""
+
+import time
+from typing import TypedDict
+
+import torch
+
+from acgd.config.rollouts import RolloutsConfig
+from acgd.config.task import TaskConfig
+from acgd.experts.policy import Expert
+from acgd.rollouts.episode import run_wave
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+
+TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")
+WAVES = 4
+LEAST_RATIO = 0.6
+
+
+class Row(TypedDict):
+    name: str
+    value: float
+    unit: str
+    ratio: float
+    """To the rate without images: same task, expert and seeds, wave by wave in turn."""
+    target: str
+    met: bool
+
+
+def run() -> list[Row]:
+    """One row per task. An untrained expert acts; its episodes may be short, and cost as much a step as others."""
+    torch.set_num_threads(1)
+    return [_measure(TaskConfig(name=name)) for name in TASKS]
+
+
+def _measure(task: TaskConfig) -> Row:
+    config = RolloutsConfig()
+    locks = {image: Lockstep(task, config.lockstep, image=image) for image in (False, True)}
+    env = registry.make(task, image=False)
+    expert = Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0])
+    seconds, steps = {False: 0.0, True: 0.0}, {False: 0, True: 0}
+    for wave in range(WAVES + 1):
+        seeds = SEEDS.demonstrations.take(config.lockstep, offset=wave * config.lockstep)
+        for image, lock in locks.items():
+            started = time.perf_counter()
+            episodes = run_wave(expert, lock, seeds, config)
+            if wave:  # the first one uploads meshes
+                seconds[image] += time.perf_counter() - started
+                steps[image] += sum(len(episode["reward"]) for episode in episodes)
+    rate = {image: steps[image] / seconds[image] for image in locks}
+    return Row(
+        name=f"collecting/{task.name}",
+        value=rate[True],
+        unit="steps/s",
+        ratio=rate[True] / rate[False],
+        target=f">= {LEAST_RATIO:.0%} of the rate without images",
+        met=rate[True] >= LEAST_RATIO * rate[False],
+    )
+
+
+if __name__ == "__main__":
+    for row in run():
+        print(row)
