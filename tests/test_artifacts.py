@@ -263,7 +263,7 @@ def publish_all(store, plan):
 def test_gc_frees_what_no_study_names(store, study, made, capsys):
     publish_all(store, study)
     commands.free(store, [], yes=False)
-    assert made.exists() and f"would remove {made}" in capsys.readouterr().out
+    assert made.exists() and f"would remove {PLACE}" in capsys.readouterr().out
     commands.free(store, [], yes=True)
     assert not made.exists() and store.places() == sorted(study.artifacts)
     assert not store.work(PLACE).exists()

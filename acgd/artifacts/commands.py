@@ -44,25 +44,26 @@ def list_store(store: Store, files: Sequence[Path]) -> None:
 def free(store: Store, files: Sequence[Path], yes: bool) -> None:
     """`acgd gc`: removes what no study names, and abandoned work; only says so unless `yes`."""
     kept = set(_users(plans(files)))
-    folders = [(place, store.path(place)) for place in store.places() + store.unfinished()]
-    folders += [(str(request.parent.relative_to(store.results / "work")), request.parent) for request in (store.results / "work").glob("*/*/*/request.json")]
     freed = 0
-    for place, folder in folders:
-        if place in kept:
+    for place in sorted({*store.places(), *store.unfinished(), *store.in_work()} - kept):
+        size = _size(store.path(place)) + _size(store.work(place))
+        if yes and not _freed(store, place):
+            print(f"left alone, in the making: {place}")
             continue
-        with held(store.work(place) / "lock", place, wait=False) as mine:
-            if not mine:
-                print(f"left alone, in the making: {place}")
-                continue
-            size = _size(folder)
-            freed += size
-            print(f"{'removed' if yes else 'would remove'} {folder} ({_bytes(size)})")
-            if yes:
-                store.remove(place)
-                shutil.rmtree(store.work(place), ignore_errors=True)
+        freed += size
+        print(f"{'removed' if yes else 'would remove'} {place} ({_bytes(size)})")
     if yes:
         names.prune_dangling(store)
     print(f"{_bytes(freed)} {'freed' if yes else 'to free. To do it, type the same with --yes.'}")
+
+
+def _freed(store: Store, place: str) -> bool:
+    """Removes an artifact and what was left of its making; False where it is being made just now."""
+    with held(store.work(place) / "lock", place, wait=False) as mine:
+        if mine:
+            store.remove(place)
+            shutil.rmtree(store.work(place), ignore_errors=True)
+        return mine
 
 
 def verify(store: Store, repair: bool) -> None:

@@ -64,6 +64,11 @@ class Store:
         """Folders in the store without a manifest."""
         return sorted(str(folder.relative_to(self.root)) for folder in self.root.glob("*/*/*/") if not (folder / MANIFEST).is_file())
 
+    def in_work(self) -> list[str]:
+        """What has been in the making, and may be."""
+        work = self.results / "work"
+        return sorted(str(lock.parent.relative_to(work)) for lock in work.glob("*/*/*/lock"))
+
     def manifest(self, place: str) -> dict[str, Any]:
         return _manifest(self.path(place))
 
