@@ -28,7 +28,7 @@ def cost(request: ReportRequest, artifacts: Mapping[str, Sequence[Artifact]]) ->
 
 def per_stage(cost: pd.DataFrame) -> pd.DataFrame:
     """Sums over a stage's artifacts, in the order of the chain; memory is the greatest."""
-    named = dict(artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"))
+    named = dict(artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"), cpu_s=("cpu_s", "sum"))
     return cost.groupby("stage", sort=False).agg(**named, peak_rss_bytes=("peak_rss_bytes", "max"), bytes=("bytes", "sum")).reset_index()
 
 

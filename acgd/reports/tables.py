@@ -85,13 +85,14 @@ def drops(drops: pd.DataFrame) -> Table:
 def cost(per_stage: pd.DataFrame) -> Table:
     """One row per stage, and the sum."""
     rows = [
-        [name(row.stage), Cell(str(row.artifacts)), Cell(numbers.duration(row.wall_s)), Cell(numbers.duration(row.longest_s)), *_space(row)]
+        [name(row.stage), Cell(str(row.artifacts)), *(Cell(numbers.duration(time)) for time in (row.wall_s, row.longest_s, row.cpu_s)), *_space(row)]
         for row in per_stage.itertuples()
     ]
-    total = per_stage[["artifacts", "wall_s", "bytes"]].sum()
-    sums = [Cell("all", kind="name strong"), Cell(f"{total.artifacts:.0f}"), Cell(numbers.duration(total.wall_s), kind="strong"), Cell("")]
+    total = per_stage[["artifacts", "wall_s", "cpu_s", "bytes"]].sum()
+    times = [Cell(numbers.duration(total.wall_s), kind="strong"), Cell(""), Cell(numbers.duration(total.cpu_s))]
+    sums = [Cell("all", kind="name strong"), Cell(f"{total.artifacts:.0f}"), *times]
     rows.append([*sums, Cell(numbers.size(per_stage["peak_rss_bytes"].max())), Cell(numbers.size(total.bytes))])
-    return Table(["stage", "artifacts", "wall time", "longest", "peak memory", "on disk"], rows)
+    return Table(["stage", "artifacts", "wall time", "longest", "processor time", "peak memory", "on disk"], rows)
 
 
 def artifacts(cost: pd.DataFrame) -> Table:
