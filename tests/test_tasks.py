@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 from pydantic import ValidationError
 
 from acgd.config.task import TaskConfig
-from acgd.tasks import registry
+from acgd.tasks import registry, starts
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
 from acgd.tasks.success import SuccessCounter
@@ -71,7 +71,7 @@ def test_perturbation_does_not_outlive_its_episode():
     for _ in range(50):
         perturbed.reset(seed=9)
     assert np.array_equal(perturbed.reset(seed=1)[0]["state"][perturbed.state_layout["goal_pos"]], goals[1])
-    assert all(np.abs(goal - middle).max() <= 0.0101 for goal in goals.values())
+    assert all(np.abs(goal - middle).max() <= starts.HOLD_GOAL + 1e-6 for goal in goals.values())
 
 
 @pytest.mark.parametrize("name", TASKS)

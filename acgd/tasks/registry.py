@@ -15,7 +15,7 @@ _SPECS = (
     TaskSpec("myo/key-turn-hard", "myo", "key-turn", "myoHandKeyTurnRandom-v0", 200, _KEY,
              "fixed: turn the key past 2 pi; key place and angle are in the image"),
     TaskSpec("myo/obj-hold", "myo", "obj-hold", "myoHandObjHoldFixed-v0", 75, _HOLD,
-             "varies by up to 1 cm an axis: the goal marker is in the image"),
+             "varies by up to 6 mm an axis: the goal marker is in the image"),
     TaskSpec("myo/obj-hold-hard", "myo", "obj-hold", "myoHandObjHoldRandom-v0", 75, _HOLD,
              "varies by up to 3 cm an axis, as does the object's size: marker and object are in the image"),
     TaskSpec("myo/pen-twirl", "myo", "pen-twirl", "myoHandPenTwirlFixed-v0", 50, _PEN,

@@ -9,12 +9,13 @@ goal (its Random tasks) that draw stays, and only hand and object are perturbed.
 import mujoco
 import numpy as np
 
-HAND_STD = 0.05
+HAND_STD = {"key-turn": 0.05, "obj-hold": 0.03, "pen-twirl": 0.05, "pose": 0.05, "reach": 0.05}
 """Standard deviation of every hand joint's start, rad; clipped to the joint's range."""
 KEY_PLACE = 0.005
 KEY_ANGLE = 0.35
-OBJECT_PLACE = 0.005
-HOLD_GOAL = 0.01
+HOLD_PLACE = 0.003
+HOLD_GOAL = 0.006
+PEN_PLACE = 0.005
 PEN_TILT = 0.1
 PEN_GOAL = 0.4
 POSE_GOAL = 0.15
@@ -27,15 +28,15 @@ def perturb(kind: str, base, hand_qpos: np.ndarray, rng: np.random.Generator, *,
     `hand_qpos` (23,) are the addresses of the hand's joints in qpos. `goal` is False where the suite
     has drawn the goal itself. The caller runs the forward kinematics afterwards.
     """
-    _hand(base, hand_qpos, rng)
+    _hand(base, hand_qpos, HAND_STD[kind], rng)
     _KINDS[kind](base, rng, goal)
 
 
-def _hand(base, hand_qpos: np.ndarray, rng: np.random.Generator) -> None:
+def _hand(base, hand_qpos: np.ndarray, std: float, rng: np.random.Generator) -> None:
     model, data = base.model, base.data
     joints = [int(np.flatnonzero(model.jnt_qposadr == adr)[0]) for adr in hand_qpos]
     low, high = model.jnt_range[joints].T
-    data.qpos[hand_qpos] = np.clip(data.qpos[hand_qpos] + rng.normal(0.0, HAND_STD, len(hand_qpos)), low, high)
+    data.qpos[hand_qpos] = np.clip(data.qpos[hand_qpos] + rng.normal(0.0, std, len(hand_qpos)), low, high)
 
 
 def _key(base, rng: np.random.Generator, goal: bool) -> None:
@@ -47,7 +48,7 @@ def _key(base, rng: np.random.Generator, goal: bool) -> None:
 
 
 def _hold(base, rng: np.random.Generator, goal: bool) -> None:
-    base.data.qpos[-7:-5] += rng.uniform(-OBJECT_PLACE, OBJECT_PLACE, 2)
+    base.data.qpos[-7:-5] += rng.uniform(-HOLD_PLACE, HOLD_PLACE, 2)
     offset = rng.uniform(-HOLD_GOAL, HOLD_GOAL, 3)
     if goal:
         base.model.site_pos[base.goal_sid] = base.nominal_goal + offset
@@ -56,7 +57,7 @@ def _hold(base, rng: np.random.Generator, goal: bool) -> None:
 def _pen(base, rng: np.random.Generator, goal: bool) -> None:
     from myosuite.physics.quat_math import euler2quat
 
-    base.data.qpos[-6:-4] += rng.uniform(-OBJECT_PLACE, OBJECT_PLACE, 2)
+    base.data.qpos[-6:-4] += rng.uniform(-PEN_PLACE, PEN_PLACE, 2)
     base.data.qpos[-3:] += rng.uniform(-PEN_TILT, PEN_TILT, 3)
     tilt = rng.uniform(-PEN_GOAL, PEN_GOAL, 2)
     if goal:
