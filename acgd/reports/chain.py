@@ -73,14 +73,18 @@ def critics(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFra
 
 
 def candidates(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[str, pd.DataFrame]:
-    """Label -> within_state.csv: one row per state and candidate action, with q and return less their state's mean."""
+    """Label -> within_state.csv: one row per state and candidate action, with q and return standardised within their state.
+
+    States differ in how much the action matters; unscaled, a few of them would be all that a picture shows.
+    """
     found = used(request, "critic", artifacts)
     tables = {}
     for (_, _, artifact), label in zip(found, labels(found), strict=True):
         frame = artifact.csv("within_state.csv")
         if len(frame):
-            centred = frame[["q", "return"]] - frame.groupby("state")[["q", "return"]].transform("mean")
-            tables[label] = frame.assign(q=centred["q"], **{"return": centred["return"]})
+            of_state = frame.groupby("state")[["q", "return"]]
+            standard = (frame[["q", "return"]] - of_state.transform("mean")) / of_state.transform("std").where(lambda std: std > 0)
+            tables[label] = frame.assign(q=standard["q"], **{"return": standard["return"]})
     return tables
 
 

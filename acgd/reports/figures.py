@@ -65,7 +65,7 @@ def differences(paired: pd.DataFrame, rule: str, variants: Sequence[str], baseli
 
 def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str], variants: Sequence[str]) -> Figure:
     """A panel per column (name -> title), a line per artifact, in the colour of the variant."""
-    rows, across = _grid(len(columns), 4)
+    rows, across = _grid(len(columns), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3)
     colour = {name: shade for name, shade in colours(variants).items() if name in runs}
     for axis, (column, title) in _pair(axes, list(columns.items())):
@@ -84,7 +84,7 @@ def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str
 
 def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
     """Success on validation episodes against environment steps, a panel per task."""
-    rows, columns = _grid(len(curves), 4)
+    rows, columns = _grid(len(curves), 4, least=2)
     figure, axes = panels(rows, columns, WIDTH, 2.2 * rows + 0.2, sharey=True)
     for axis, (task, curve) in _pair(axes, list(curves.items())):
         axis.plot(curve["step"] / 1e6, curve[column], color=PALETTE[0], linewidth=1.4)
@@ -96,13 +96,12 @@ def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
 
 
 def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float) -> Figure:
-    """Above, how well Q ranks actions within one state, over states; below, Q against the simulated return, both centred by state.
+    """Above, how well Q ranks actions within one state, over states; below, Q against the simulated return.
 
-    candidates: per task columns q and return, each less its state's mean.
+    candidates: per task columns q and return, standardised within each state.
     """
     tasks = list(ranks)
-    across = min(len(tasks), 4)
-    bands = -(-len(tasks) // across)
+    bands, across = _grid(len(tasks), 4, least=2)
     figure, axes = panels(2 * bands, across, WIDTH, 4.3 * bands)
     for place, task in enumerate(tasks):
         band, column = divmod(place, across)
@@ -119,8 +118,8 @@ def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candida
         above.set_ylabel("states" if column == 0 else "")
         points = candidates[task]
         below.plot(points["return"], points["q"], ".", color=PALETTE[0], markersize=3, alpha=0.5)
-        below.set_xlabel("simulated return, less its state's mean")
-        below.set_ylabel("Q, less its state's mean" if column == 0 else "")
+        below.set_xlabel("simulated return, standardised within its state")
+        below.set_ylabel("Q, likewise" if column == 0 else "")
     for extra in range(len(tasks), bands * across):
         band, column = divmod(extra, across)
         axes[2 * band][column].set_visible(False)
@@ -130,7 +129,7 @@ def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candida
 
 def ratios(curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]], tasks: Sequence[str], variants: Sequence[str], floor: float) -> Figure:
     """Gradient norm of L_distill over that of L_BC through training, (variant, task) -> one frame (step, ratio) per student seed."""
-    rows, across = _grid(len(tasks), 4)
+    rows, across = _grid(len(tasks), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3, sharey=True)
     colour = colours(variants)
     found = np.concatenate([frame["ratio"].to_numpy() for frames in curves.values() for frame in frames])
@@ -152,8 +151,9 @@ def ratios(curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]], tasks: Sequ
     return figure
 
 
-def _grid(count: int, across: int) -> tuple[int, int]:
-    columns = max(1, min(count, across))
+def _grid(count: int, across: int, least: int = 1) -> tuple[int, int]:
+    """(rows, columns) for so many panels; `least` columns, since one curve over the page's whole width says no more."""
+    columns = max(least, min(count, across))
     return max(1, -(-count // columns)), columns
 
 
