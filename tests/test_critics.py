@@ -16,7 +16,7 @@ from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
 from acgd.critics.ensemble import Critic
 from acgd.critics.fit import fit
-from acgd.critics.fitted_q import FittedQ
+from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
 from acgd.critics.targets import targets
@@ -56,7 +56,7 @@ def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Criti
 
 def a_critic(state_dim: int, seed: int, members: int = 2) -> Critic:
     generator = torch.Generator().manual_seed(seed)
-    critic = Critic(state_dim, 3, members=members, width=16, depth=2, generator=generator)
+    critic = Critic(state_dim, 3, members=members, width=16, depth=2, action_space="excitation", generator=generator)
     critic.state_mean.copy_(torch.randn(state_dim, generator=generator))
     critic.state_std.copy_(torch.rand(state_dim, generator=generator) + 0.5)
     critic.shift.fill_(-100.0 * seed)
@@ -95,7 +95,7 @@ def test_horizon_one_is_one_step_fitted_q_evaluation():
 
 def test_fit_recovers_the_q_of_a_linear_problem():
     # V(s) = s / (1 - 0.8 * 0.5) = 5/3 s;  Q(s, a) = s + 0.5 a + 0.5 V(0.8 s + 0.2 a) = 5/3 s + 2/3 a
-    critic = fitted(linear_problem(), CriticConfig(width=32, updates=500, batch=64, target_every=20, lr=5e-3), gamma=0.5)
+    critic = fitted(linear_problem(), CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=500, batch=64, target_every=20, lr=5e-3), gamma=0.5)
     state = torch.tensor([[0.5], [-0.5], [0.2], [0.0]])
     action = torch.tensor([[0.0], [0.5], [-0.8], [0.6]])
     expected = 5 / 3 * state[:, 0] + 2 / 3 * action[:, 0]
@@ -103,14 +103,14 @@ def test_fit_recovers_the_q_of_a_linear_problem():
 
 
 def test_terminated_transitions_are_worth_their_reward():
-    critic = fitted(linear_problem(terminal=True), CriticConfig(width=32, updates=600, batch=128, lr=3e-3))
+    critic = fitted(linear_problem(terminal=True), CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=600, batch=128, lr=3e-3))
     state, action = torch.tensor([[0.5], [-0.5]]), torch.tensor([[0.0], [0.5]])
     assert torch.allclose(critic(state, action), torch.tensor([0.5, -0.25]).expand(2, -1), atol=0.05)
 
 
 def test_q_is_in_reward_units():
     # Rewards 1000 times as large: the same critic up to rounding, with 1000 times the values.
-    data, config = linear_problem(200), CriticConfig(width=16, updates=40, batch=32)
+    data, config = linear_problem(200), CriticConfig(action_space="raw", width=16, updates=40, batch=32)
     small, large = fitted(data, config), fitted(replace(data, reward=1000 * data.reward), config)
     state, action = torch.tensor([[0.5]]), torch.tensor([[0.3]])
     assert torch.allclose(1000 * small(state, action), large(state, action), rtol=1e-2)
@@ -125,7 +125,7 @@ def test_within_state_regression_ranks_actions_where_the_value_of_states_drowns_
         linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
         reward=(30 * np.sin(3 * state) + 0.5 * action)[:, 0],
     )  # fmt: skip
-    config = CriticConfig(width=16, updates=300, batch=64, lr=1e-2, branches=BranchConfig(states=200, actions=4))
+    config = CriticConfig(action_space="raw", weight_decay=0.0, width=16, updates=300, batch=64, lr=1e-2, branches=BranchConfig(states=200, actions=4))
     tried = torch.linspace(-1, 1, 8)[:, None]
     ranked = {}
     for weight in (0.0, 1.0):
@@ -152,6 +152,14 @@ def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
     whole.save(tmp_path / "whole.safetensors")
     resumed.save(tmp_path / "resumed.safetensors")
     assert (tmp_path / "whole.safetensors").read_bytes() == (tmp_path / "resumed.safetensors").read_bytes()
+
+
+def test_branches_of_a_state_share_one_bootstrap():
+    # Two states, two branches of one step each; the second state's second branch terminates.
+    found = targets(np.array([1, 2, 3, 4], np.float32), np.array([0, 0, 0, 1], bool), np.zeros(4, bool), np.arange(1, 5), gamma=0.5, horizon=9)
+    value = torch.tensor([[10.0, 20.0, 30.0, 40.0]])
+    z = branch_targets(found, value, torch.tensor([[0, 1], [2, 3]]))
+    assert z.tolist() == [[1 + 0.5 * 15, 2 + 0.5 * 15], [3 + 0.5 * 30, 4]]
 
 
 def test_groups_of_unequal_size_are_refused():

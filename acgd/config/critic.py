@@ -1,5 +1,7 @@
 """The critic section: data, fit and quality of one expert's Q."""
 
+from typing import Literal
+
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from acgd.config.section import Section
@@ -28,9 +30,9 @@ class PerturbationConfig(Section):
 class BranchConfig(Section):
     """Several actions tried from one simulator state, each followed by the expert: what ranks actions within a state."""
 
-    states: int = Field(400, ge=0, description="States branched from, drawn from the rollouts. 0 fits on rollouts alone.")
-    actions: int = Field(6, ge=2, description="Actions tried in each state.")
-    steps: PositiveInt = Field(6, description="Simulator steps of a branch, its first action included, before Q is bootstrapped.")
+    states: int = Field(500, ge=0, description="States branched from, drawn from the rollouts. 0 fits on rollouts alone.")
+    actions: int = Field(4, ge=2, description="Actions tried in each state.")
+    steps: PositiveInt = Field(12, description="Simulator steps of a branch, its first action included, before Q is bootstrapped.")
 
 
 class QualityConfig(Section):
@@ -38,7 +40,7 @@ class QualityConfig(Section):
 
     states: int = Field(32, ge=2, description="Held-out episodes, perturbed like those of the fit; in one state of each, candidate actions are ranked.")
     candidates: int = Field(16, ge=4, description="Candidate first actions in a state.")
-    tail: PositiveInt = Field(64, description="Steps simulated per candidate, past the time limit if need be; what is cut off weighs gamma^tail.")
+    tail: PositiveInt = Field(40, description="Steps simulated per candidate, past the time limit if need be; what is cut off weighs gamma^tail.")
 
 
 class CriticConfig(Section):
@@ -47,7 +49,8 @@ class CriticConfig(Section):
     members: PositiveInt = Field(2, description="Networks in the ensemble.")
     width: PositiveInt = Field(128, description="Units of a hidden layer.")
     depth: PositiveInt = Field(2, description="Hidden layers.")
-    steps: PositiveInt = Field(12000, description="Simulator steps of rollouts, to the end of the last episode; branches come on top.")
+    action_space: Literal["raw", "excitation"] = Field("excitation", description="Read actions as they are, or as the muscle excitation that MyoSuite makes of them.")
+    steps: PositiveInt = Field(6000, description="Simulator steps of rollouts, to the end of the last episode; branches come on top.")
     perturbation: PerturbationConfig = PerturbationConfig()
     branches: BranchConfig = BranchConfig()
     horizon: PositiveInt = Field(64, description="Rewards summed before bootstrapping while the expert's mean is followed; 1 is one-step fitted Q evaluation.")
@@ -55,7 +58,7 @@ class CriticConfig(Section):
     batch: PositiveInt = Field(256, description="Transitions in a gradient step, for the regression on y.")
     branch_batch: PositiveInt = Field(32, description="Branched states in a gradient step, for the within-state regression.")
     lr: PositiveFloat = Field(1e-3, description="Learning rate of Adam, annealed to zero by a cosine.")
-    weight_decay: float = Field(0.0, ge=0, description="Decoupled weight decay.")
+    weight_decay: float = Field(0.1, ge=0, description="Decoupled weight decay.")
     target_every: PositiveInt = Field(100, description="Updates between two recomputations of the targets of all transitions.")
     within_state: float = Field(1.0, ge=0, description="Weight of the regression of differences between actions of one branched state.")
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")

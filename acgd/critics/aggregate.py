@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.critics.ensemble import STATE_CLIP, Critic
+from acgd.critics.ensemble import STATE_CLIP, Critic, measured
 
 
 class AggregateCritic(nn.Module):
@@ -19,11 +19,12 @@ class AggregateCritic(nn.Module):
         """`critics` in the order of the task ids. Q is mean - pessimism * std over a critic's members."""
         super().__init__()
         shapes = [critic.shape for critic in critics]
-        for name in ("action_dim", "members", "width", "depth"):
+        for name in ("action_dim", "members", "width", "depth", "action_space"):
             if len({shape[name] for shape in shapes}) != 1:
                 raise ValueError(f"critics differ in {name}: {[shape[name] for shape in shapes]}; fit them with one critic section")
         self.pessimism, self.tasks, self.members = pessimism, len(critics), shapes[0]["members"]
         self.depth, self.state_dim = shapes[0]["depth"], max(shape["state_dim"] for shape in shapes)
+        self.action_space = shapes[0]["action_space"]
 
         def padded(values: list[Tensor], fill: float) -> Tensor:
             return torch.stack([F.pad(value, (0, self.state_dim - value.shape[0]), value=fill) for value in values])
@@ -61,7 +62,7 @@ class AggregateCritic(nn.Module):
             state = (state - self.state_mean[:, None]) / self.state_std[:, None]
             state = state.clamp(-STATE_CLIP, STATE_CLIP)
             x = torch.baddbmm(self.bias0, self._per_member(state), self.weight_state)
-        x = torch.baddbmm(x, self._per_member(action), self.weight_action)
+        x = torch.baddbmm(x, self._per_member(measured(action, self.action_space)), self.weight_action)
         for layer in range(self.depth):
             if layer:
                 x = torch.baddbmm(getattr(self, f"bias{layer}"), x, getattr(self, f"weight{layer}"))

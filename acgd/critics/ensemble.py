@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 import torch
 from safetensors.torch import load_file, save_file
@@ -12,6 +12,15 @@ from torch.nn import functional as F
 WEIGHTS, META = "critic.safetensors", "critic.json"
 STATE_CLIP = 10.0
 """Normalised states are clipped here: a freak state must not throw a frozen critic off its data."""
+
+
+ActionSpace = Literal["raw", "excitation"]
+
+
+def measured(action: Tensor, space: ActionSpace) -> Tensor:
+    """Actions in [-1, 1] as a critic reads them. MyoSuite's muscles receive 1 / (1 + exp(-5 (a - 0.5))): half of the
+    action box is nearly no excitation, and Q nearly flat there."""
+    return 2 * torch.sigmoid(5 * (action - 0.5)) - 1 if space == "excitation" else action
 
 
 class Critic(nn.Module):
@@ -30,9 +39,10 @@ class Critic(nn.Module):
     spread: Tensor
 
     def __init__(self, state_dim: int, action_dim: int, members: int = 2, width: int = 128, depth: int = 2,
-                 generator: torch.Generator | None = None) -> None:
+                 action_space: ActionSpace = "raw", generator: torch.Generator | None = None) -> None:
         super().__init__()
-        self.shape = {"state_dim": state_dim, "action_dim": action_dim, "members": members, "width": width, "depth": depth}
+        self.shape = {"state_dim": state_dim, "action_dim": action_dim, "members": members, "width": width, "depth": depth,
+                      "action_space": action_space}
         sizes = [state_dim + action_dim] + [width] * depth + [1]
         self.weights = nn.ParameterList(
             nn.Parameter(torch.randn(members, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
@@ -58,7 +68,7 @@ class Critic(nn.Module):
 
     def standard(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) -> (M, B), before `shift` and `scale`: what the fit regresses."""
-        x = torch.cat([self.normalise(state), action], -1).expand(self.members, -1, -1)
+        x = torch.cat([self.normalise(state), measured(action, self.shape["action_space"])], -1).expand(self.members, -1, -1)
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
             x = F.silu(torch.addcmul(offset, normal, gain))
