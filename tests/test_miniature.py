@@ -51,10 +51,14 @@ def workflow(folder, *arguments):
     return run.stdout + run.stderr
 
 
+def manifest(folder, place):
+    """With it, the checksum of every file."""
+    return Store(folder / "results").manifest(place)
+
+
 def manifests(folder, planned):
-    """Place -> bytes of the manifest, and with them the checksums of every file; the report tells wall times, so it differs."""
-    store = Store(folder / "results")
-    return {place: (store.path(place) / "manifest.json").read_bytes() for place in planned.artifacts if not place.startswith("report/")}
+    """Of every artifact but the report, which tells wall times."""
+    return {place: manifest(folder, place) for place in planned.artifacts if not place.startswith("report/")}
 
 
 @pytest.fixture(scope="module")
@@ -126,8 +130,7 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
         assert not Store(folder / "results").has(artifact.place)
     run = subprocess.run([sys.executable, "-m", "acgd", *job], cwd=folder, env=environment, capture_output=True, text=True)
     assert run.returncode == 0 and "going on from its checkpoint" in run.stderr, run.stderr[-3000:]
-    manifest = Path("results/store") / artifact.place / "manifest.json"
-    assert (folder / manifest).read_bytes() == (uninterrupted / manifest).read_bytes()
+    assert manifest(folder, artifact.place) == manifest(uninterrupted, artifact.place)
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["with its jobs", "alone, while its jobs live on"])
