@@ -14,7 +14,9 @@ from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
 
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")
-WAVES = 4
+EPISODES = 4
+"""Side by side."""
+WAVES = 2
 LEAST_RATIO = 0.6
 
 
@@ -36,12 +38,12 @@ def run() -> list[Row]:
 
 def _measure(task: TaskConfig) -> Row:
     config = RolloutsConfig()
-    locks = {image: Lockstep(task, config.lockstep, image=image) for image in (False, True)}
+    locks = {image: Lockstep(task, EPISODES, image=image) for image in (False, True)}
     env = registry.make(task, image=False)
     expert = Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0])
     seconds, steps = {False: 0.0, True: 0.0}, {False: 0, True: 0}
     for wave in range(WAVES + 1):
-        seeds = SEEDS.demonstrations.take(config.lockstep, offset=wave * config.lockstep)
+        seeds = SEEDS.demonstrations.take(EPISODES, offset=wave * EPISODES)
         for image, lock in locks.items():
             started = time.perf_counter()
             episodes = run_wave(expert, lock, seeds, config)

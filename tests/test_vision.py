@@ -137,7 +137,7 @@ def test_features_of_every_frame(backbone, rollouts, tmp_path):
 
 
 def test_privileged_training_finds_the_spot_in_held_out_episodes(rollouts, tmp_path):
-    settings = short(steps=150, batch=32, shift=2, checkpoint_every=150)
+    settings = short(steps=300, batch=32, shift=2, checkpoint_every=300)
     found = json.loads((made(tmp_path, settings, rollouts) / "backbone.json").read_text())["tasks"]
     pixel = 0.02 * 2 / SIZE
     errors = {name: target["rmse"] / pixel for task in found.values() for name, target in task.items()}

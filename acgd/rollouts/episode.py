@@ -21,7 +21,7 @@ ONCE = ("seed", "terminated", "success_final", "success_held", "success_once")
 FINAL = "final_"
 FIELDS = "model_fields/"
 TERMS = "reward_terms/"
-"""Weighted terms of the reward, each (T,), as the environment reports them."""
+"""Terms of the reward before weighting, each (T,), as the environment reports them."""
 
 
 def run_wave(expert: Expert, lock: Lockstep, seeds: Sequence[int], config: RolloutsConfig) -> list[Episode]:
