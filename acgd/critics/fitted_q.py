@@ -115,10 +115,11 @@ class FittedQ:
     def _adopt(self, z: Tensor) -> None:
         """z (G, K), in standardised returns but for a constant."""
         self.z = z
-        self.difference = z - z.mean(1, keepdim=True)
-        spread = z.std(1)
+        if not len(z):
+            return
+        self.difference, spread = z - z.mean(1, keepdim=True), z.std(1)
         # States in which the action hardly matters would otherwise teach their noise.
-        self.group_spread = (spread + spread.median()).clamp_min(1e-6) if len(z) else spread
+        self.group_spread = (spread + spread.median()).clamp_min(1e-6)
 
     def finish(self) -> Critic:
         """The fitted critic, with the spread of its targets over the data as the task's unit."""

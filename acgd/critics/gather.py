@@ -48,8 +48,8 @@ def rollouts(
     """Follows the expert's mean plus each episode's perturbation for `limit` steps, or until the simulator terminates.
 
     Clean episodes go on for `beyond` more steps, for the tails of their returns. Gathers `episodes`, or as many as make
-    `steps` simulator steps. A step before `limit` becomes a `Visit` with probability `visit_rate`. Chance depends on
-    `seed` and the number of the episode alone. Returns the kinds by episode.
+    `steps` simulator steps. A step before `limit` becomes a `Visit` with probability `visit_rate`, the first one in any
+    case. Chance depends on `seed` and the number of the episode alone. Returns the kinds by episode.
     """
     for env in lock.envs:
         env.ignore_time_limit = True  # `limit` ends an episode here
@@ -61,7 +61,7 @@ def rollouts(
         given += [next(kind) for _ in range(count)]
         rngs = [np.random.default_rng([seed, episode]) for episode in range(first, first + count)]
         noise = np.stack([offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(given[first:], rngs)])
-        visited = np.stack([rng.random(limit) < visit_rate for rng in rngs])
+        visited = np.stack([(rng.random(limit) < visit_rate) | (np.arange(limit) == 0) for rng in rngs])
         limits = np.array([limit + beyond * (name == "clean") for name, _ in given[first:]])
         state = lock.reset(seeds.take(count, offset=first))["state"]
         for t in range(limits.max()):

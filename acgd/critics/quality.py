@@ -69,11 +69,11 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
 
 
 def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit]:
-    """One visited state of each episode, so that the states are independent."""
+    """One visited state of each episode, so that the states are independent; its first one only where there is no other."""
     by_episode: dict[int, list[Visit]] = {}
     for visit in visits:
         by_episode.setdefault(visit.episode, []).append(visit)
-    return [found[rng.integers(len(found))] for found in by_episode.values()]
+    return [found[rng.integers(1, len(found))] if len(found) > 1 else found[0] for found in by_episode.values()]
 
 
 def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
