@@ -9,10 +9,10 @@ goal (its Random tasks) that draw stays, and only hand and object are perturbed.
 import mujoco
 import numpy as np
 
-HAND_STD = {"key-turn": 0.05, "obj-hold": 0.03, "pen-twirl": 0.05, "pose": 0.05, "reach": 0.05}
+HAND_STD = {"key-turn": 0.03, "obj-hold": 0.03, "pen-twirl": 0.05, "pose": 0.05, "reach": 0.05}
 """Standard deviation of every hand joint's start, rad; clipped to the joint's range."""
-KEY_PLACE = 0.005
-KEY_ANGLE = 0.35
+KEY_PLACE = 0.002
+KEY_ANGLE = 0.2
 HOLD_PLACE = 0.003
 HOLD_GOAL = 0.006
 PEN_PLACE = 0.005
