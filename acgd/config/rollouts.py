@@ -13,9 +13,9 @@ class RolloutsConfig(Section):
 
     demonstrations: int = Field(30, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step.")
     acting: Literal["stochastic", "mean"] = Field(
-        "stochastic", description="The expert samples its own policy, or acts by the mean. The mean is stored beside either."
+        "mean", description="The expert samples its own policy, or acts by the mean. The mean is stored beside either."
     )
-    noise: float = Field(0.0, ge=0.0, description="Standard deviation of Gaussian noise added to every action, before clipping to [-1, 1].")
+    noise: float = Field(0.1, ge=0.0, description="Standard deviation of Gaussian noise added to every action, before clipping to [-1, 1].")
     keep_failures: bool = Field(False, description="Store the failed episodes too, in the group `failures`.")
     seed_offset: int = Field(0, ge=0, description="Skip so many of the seeds set aside for demonstrations.")
     attempts: int = Field(4, ge=1, description="Give up after attempts x demonstrations episodes, with an error that names the mend.")

@@ -92,7 +92,7 @@ class ActingConfig(Section):
         description="average the chunks that cover the step, weighing the newest (paper) or the oldest (ACT) most; "
         "or take each new chunk's first action; or execute whole chunks",
     )
-    eta: NonNegative = Field(0.1, description="eta of the ensembling weights exp(-eta i)")
+    eta: NonNegative = Field(2.0, description="eta of the ensembling weights exp(-eta i)")
 
 
 class CodebookRequest(Section):

@@ -17,7 +17,6 @@ from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
 from acgd.tracking.progress import Progress
 
-VERSION = 1
 ENVIRONMENTS = 8
 """Side by side in one process: enough to batch the expert, few enough to make."""
 VISITS_PER_BRANCH = 3

@@ -9,8 +9,6 @@ from acgd.reports.evidence import Evidence
 from acgd.reports.ledger import STAGES
 from acgd.reports.page import render
 
-VERSION = 1
-
 
 def report(config: ReportRequest, inputs: Inputs, ctx: Context) -> None:
     """Writes report.html, *.csv and *.svg. The same artifacts, with the same run.json, give the same bytes."""

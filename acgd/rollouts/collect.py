@@ -14,8 +14,6 @@ from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
 
-VERSION = 1
-
 
 class ExpertTooWeakError(RuntimeError):
     """The expert does not reach the wanted number of successes. The message names the mend."""

@@ -16,7 +16,9 @@ from acgd.students.guidance import Guidance, gates, ratio_by_task, verdict
 from acgd.students.student import Student
 from acgd.students.training import train
 
-VERSION = 1
+CHOSEN_BY = "validation_plan_error"
+"""Chooses the best weights: the error of what the student would do. L_BC would not: L_lat, a cross-entropy, grows with confidence
+while the plan still improves."""
 
 
 def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
@@ -51,12 +53,12 @@ def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
             tally["rows"] = tally.get("rows", 0) + 1
         return bc.mean() + (distill.mean() if guided else 0), row
 
-    best = train(student, step_loss, lambda: validate(student, data, codes, guidance), training, generators, tally, ctx, "student")
+    best = train(student, step_loss, lambda: validate(student, data, codes, guidance), training, generators, tally, ctx, "student", CHOSEN_BY)
     notes = {
         "tasks": names,
         "student": config.student.model_dump(mode="json"),
         "seed": config.seed,
-        "best": {"step": best.step, "validation_loss": best.loss},
+        "best": {"step": best.step, CHOSEN_BY: best.loss},
         "guidance": verdict(names, guidance, tally),
     }
     student.save(ctx.out, {"best": best.weights, "last": student.state_dict()}, notes)
@@ -102,7 +104,7 @@ def student_losses(
 
 @torch.no_grad()
 def validate(student: Student, data: Data, codes: Tensor, guidance: Guidance | None) -> dict[str, float]:
-    """On the held-out episodes: L_BC, which chooses the best weights; the error and the accuracy of what the student would do; its Q."""
+    """On the held-out episodes: L_BC; the error of what the student would do, which chooses the best weights, and its code accuracy; its Q."""
     student.eval()
     generators = {"data": torch.Generator(codes.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}

@@ -13,7 +13,6 @@ from acgd.students.codebook import Codebook, Sizes
 from acgd.students.data import Batch, Data
 from acgd.students.training import train
 
-VERSION = 1
 VALIDATION_BATCH = 1024
 
 

@@ -52,10 +52,11 @@ def train(
     tally: dict[str, float],
     ctx: Context,
     what: str,
+    choose: str = "validation_loss",
 ) -> Best:
     """Trains in place and returns the best weights; those of the last step are in the model.
 
-    `validate` returns at least `validation_loss`. `generators` are the only sources of randomness and `tally` whatever
+    `validate` returns scores; the least of the one named by `choose` is the best. `generators` are the only sources of randomness and `tally` whatever
     `step_loss` accumulates: all are checkpointed, so that a resumed run equals an uninterrupted one bit for bit.
     """
     optimiser = adamw(model, config)
@@ -91,8 +92,8 @@ def train(
             if done % config.validate_every == 0 or done == config.steps:
                 scores = validate()
                 row = {**row, **scores}
-                if scores["validation_loss"] < best.loss:
-                    best = Best(scores["validation_loss"], done, {name: value.clone() for name, value in model.state_dict().items()})
+                if scores[choose] < best.loss:
+                    best = Best(scores[choose], done, {name: value.clone() for name, value in model.state_dict().items()})
             if row:
                 ctx.metrics.log(done, **row)
             if done % config.checkpoint_every == 0 and done < config.steps:

@@ -10,8 +10,6 @@ from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import write_group
 from acgd.vision.backbones import Backbone, load
 
-VERSION = 1
-
 
 def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
     """Write features.zarr: `image` (T, F) and `final_image` (E, F), float32."""

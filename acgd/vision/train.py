@@ -4,8 +4,6 @@ from acgd.artifacts.stage import Context, Inputs
 from acgd.config.vision import BackboneRequest
 from acgd.vision.backbones import BACKBONES
 
-VERSION = 1
-
 
 def train(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     """Write backbone.json and, unless the kind is `scratch`, the weights."""
