@@ -47,11 +47,13 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them anew")
     verb.set_defaults(run=_verify)
     verb = verbs.add_parser("mlflow-sync", help="bring MLflow up to date with the artifacts")
-    verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files")
+    verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files (the workflow gives it)")
+    verb.add_argument("--fingerprint", help="with --configuration: what the workflow notes as mirrored")
     verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
     verb.set_defaults(run=_mirror)
     verb = verbs.add_parser("publish", help="put report and names of a study into results/<study>/ (the workflow calls this)")
     verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
+    verb.add_argument("--fingerprint", required=True, help="of the plan that the workflow has carried out")
     verb.set_defaults(run=_publish)
     verb = verbs.add_parser("schema", help="write docs/configuration.md and docs/schema.json")
     verb.add_argument("--docs", type=Path, default=Path("docs"))
@@ -100,13 +102,16 @@ def _mirror(options: argparse.Namespace) -> None:
         return
     plan = _planned(options.configuration)
     commands.mirror(store, [plan])
-    names.mark(store, "mirrored", plan)
+    names.mark(store, "mirrored", plan.study, options.fingerprint)
 
 
 def _publish(options: argparse.Namespace) -> None:
     from acgd.artifacts import names
 
-    print(f"report: {names.publish(Store(options.store), _planned(options.configuration))}")
+    plan = _planned(options.configuration)
+    if names.fingerprint(plan) != options.fingerprint:
+        raise ArtifactError("Code, simulator or a file that the study reads has changed since the workflow was started. Start it again.")
+    print(f"report: {names.publish(Store(options.store), plan)}")
 
 
 def _planned(configuration: str):

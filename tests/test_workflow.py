@@ -67,7 +67,7 @@ def published(folder, content):
     os.chdir(folder)
     try:
         names.publish(with_relative_paths, planned)
-        names.mark(with_relative_paths, "mirrored", planned)
+        names.mark(with_relative_paths, "mirrored", planned.study, names.fingerprint(planned))
     finally:
         os.chdir(before)
     return store, planned

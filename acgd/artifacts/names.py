@@ -64,16 +64,16 @@ def publish(store: Store, plan: Plan) -> Path:
             replace_file(target, lambda draft, source=file: shutil.copyfile(source, draft))
     for name in all_names(plan):
         write(store, plan, name)
-    mark(store, "published", plan)
+    mark(store, "published", plan.study, fingerprint(plan))
     return folder / "report.html"
 
 
-def mark(store: Store, what: str, plan: Plan) -> None:
-    """Notes that `what` is up to date with the plan: `results/work/<what>/<study>/<fingerprint>`, in place of earlier notes."""
-    folder = store.results / "work" / what / plan.study
+def mark(store: Store, what: str, study: str, fingerprint: str) -> None:
+    """Notes what `what` is up to date with: `results/work/<what>/<study>/<fingerprint>`, in place of earlier notes."""
+    folder = store.results / "work" / what / study
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / fingerprint(plan)).touch()
+    (folder / fingerprint).touch()
 
 
 def write(store: Store, plan: Plan, name: str) -> None:

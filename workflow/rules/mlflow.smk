@@ -11,4 +11,4 @@ rule mlflow:
     params:
         configuration=CONFIGURATION,
     shell:
-        ACGD + " mlflow-sync --configuration {params.configuration:q} 2>&1 | tee {log}"
+        ACGD + " mlflow-sync --fingerprint {FINGERPRINT} --configuration {params.configuration:q} 2>&1 | tee {log}"

@@ -26,4 +26,4 @@ rule publish:
     params:
         configuration=CONFIGURATION,
     shell:
-        ACGD + " publish --configuration {params.configuration:q}"
+        ACGD + " publish --fingerprint {FINGERPRINT} --configuration {params.configuration:q}"
