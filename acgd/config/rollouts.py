@@ -11,7 +11,7 @@ from acgd.config.task import TaskConfig
 class RolloutsConfig(Section):
     """Successful expert episodes of one task."""
 
-    demonstrations: int = Field(30, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step.")
+    demonstrations: int = Field(50, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step.")
     acting: Literal["stochastic", "mean"] = Field(
         "mean", description="The expert samples its own policy, or acts by the mean. The mean is stored beside either."
     )

@@ -24,7 +24,7 @@ class TrainingConfig(Section):
     weight_decay: NonNegative = Field(0.01, description="decoupled weight decay of the weight matrices")
     clip_norm: Annotated[float, Field(gt=0)] = Field(10.0, description="global gradient norm above which gradients are scaled down")
     input_noise: NonNegative = Field(
-        0.1, description="standard deviation of Gaussian noise on the normalised image features and proprioception while training"
+        0.03, description="standard deviation of Gaussian noise on the normalised image features and proprioception while training"
     )
     precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training")
     validate_every: Positive = Field(250, description="steps between validations; the best of them is kept")
