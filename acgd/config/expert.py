@@ -17,7 +17,7 @@ class PPOConfig(Section):
     batch: int = Field(default=256, ge=2, description="Minibatch size.")
     epochs: int = Field(default=8, ge=1, description="Passes over each rollout.")
     width: int = Field(default=256, ge=8, description="Units of the two hidden layers of policy and value function.")
-    learning_rate: float = Field(default=3e-4, gt=0, description="Adam's step size at the start.")
+    learning_rate: float = Field(default=1e-4, gt=0, description="Adam's step size at the start.")
     learning_rate_end: float = Field(default=1e-4, gt=0, description="Adam's step size at the end; linear between.")
     gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount.")
     gae_lambda: float = Field(default=0.95, gt=0, le=1, description="Lambda of the advantage estimate.")

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from acgd.config.expert import ExpertRequest, PPOConfig
@@ -58,9 +57,9 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     settings, ppo = config.expert, config.expert.ppo
     envs = [StateOnly(config.task, ppo, i) for i in range(ppo.envs)]
     venv = VecNormalize(DummyVecEnv([lambda e=e: e for e in envs]), gamma=ppo.gamma, clip_obs=STATE_CLIP)
+    rate = _LearningRate(ppo)
     model = PPO(
-        "MlpPolicy", venv, seed=settings.seed, device="cpu", verbose=0,
-        learning_rate=lambda left: ppo.learning_rate_end + (ppo.learning_rate - ppo.learning_rate_end) * left,
+        "MlpPolicy", venv, seed=settings.seed, device="cpu", verbose=0, learning_rate=rate,
         n_steps=ppo.rollout_steps, batch_size=ppo.batch, n_epochs=ppo.epochs, gamma=ppo.gamma,
         gae_lambda=ppo.gae_lambda, clip_range=ppo.clip, ent_coef=ppo.entropy,
         policy_kwargs={"net_arch": [ppo.width, ppo.width], "log_std_init": float(np.log(ppo.initial_std))},
@@ -71,8 +70,7 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": ppo.reward_weights, "algorithm": "ppo"}
     segment = ppo.envs * ppo.rollout_steps
     due = settings.checkpoint_every
-    with progress(ppo.steps, f"expert {config.task.name}") as bar:
-        bar.update(model.num_timesteps)
+    with progress(ppo.steps, f"expert {config.task.name}", done=model.num_timesteps) as bar:
         while model.num_timesteps < ppo.steps:
             before = model.num_timesteps
             for i, env in enumerate(envs):
@@ -80,8 +78,8 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
             torch.manual_seed(settings.seed * 1_000_003 + before)
             np.random.seed((settings.seed * 1_000_003 + before) % 2**32)
             model._last_obs = None  # restart the episodes, as a resumed run has to
-            model._total_timesteps = ppo.steps
-            model.learn(segment, callback=_Schedule(ppo.steps), reset_num_timesteps=False)
+            rate.step = before
+            model.learn(segment, reset_num_timesteps=False)
             now = model.num_timesteps
             if now // settings.evaluate_every > before // settings.evaluate_every or now >= ppo.steps:
                 expert = export(model, venv, meta)
@@ -104,18 +102,16 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     return Expert.load(state / "best"), curve
 
 
-class _Schedule(BaseCallback):
-    """Keeps stable-baselines3's idea of progress on the whole run, not on the segment."""
+class _LearningRate:
+    """Linear from start to end over the whole run. The fraction that stable-baselines3 passes is of one segment: not used."""
 
-    def __init__(self, total: int) -> None:
-        super().__init__()
-        self._total = total
+    def __init__(self, ppo: PPOConfig) -> None:
+        self._ppo = ppo
+        self.step = 0
 
-    def _on_training_start(self) -> None:
-        self.model._total_timesteps = self._total
-
-    def _on_step(self) -> bool:
-        return True
+    def __call__(self, _: float) -> float:
+        left = max(0.0, 1.0 - self.step / self._ppo.steps)
+        return self._ppo.learning_rate_end + (self._ppo.learning_rate - self._ppo.learning_rate_end) * left
 
 
 def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
