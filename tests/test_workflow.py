@@ -144,4 +144,4 @@ def test_a_study_takes_the_place_of_the_default_and_the_command_line_changes_it(
     assert "results/t/acgd/seed-5/student" in dry_run(tmp_path, "--config", "seeds=[5]")[1]
     (tmp_path / "study.json").write_text(json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"source": "train"}}))
     said = dry_run(tmp_path, "--configfile", tmp_path / "study.json")[1]
-    assert "results/u/base/seed-0/student" in said and "results/t/" not in said and "/acgd/" not in said
+    assert "results/u/base/seed-0/student" in said and "results/t/" not in said and "results/u/acgd/" not in said
