@@ -1,7 +1,6 @@
 """Environment steps per second while demonstrations are recorded, with images and without: `python -m benchmarks.collecting`."""
 
 import time
-from typing import TypedDict
 
 import torch
 
@@ -12,22 +11,13 @@ from acgd.rollouts.episode import run_wave
 from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.seeds import SEEDS
+from benchmarks.row import Row
 
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")
 EPISODES = 4
 """Side by side."""
 WAVES = 2
 LEAST_RATIO = 0.6
-
-
-class Row(TypedDict):
-    name: str
-    value: float
-    unit: str
-    ratio: float
-    """To the rate without images: same task, expert and seeds, wave by wave in turn."""
-    target: str
-    met: bool
 
 
 def run() -> list[Row]:

@@ -3,7 +3,6 @@
 import statistics
 import time
 from collections.abc import Callable
-from typing import TypedDict
 
 import numpy as np
 import torch
@@ -18,20 +17,11 @@ from acgd.students.codebook import Sizes
 from acgd.students.student import Student
 from acgd.tasks.lockstep import Lockstep
 from acgd.vision.cnn import SmallCNN
+from benchmarks.row import Row
 
 TASK = TaskConfig(name="myo/key-turn")
 STEPS = 60
 """Of an episode; the median one counts."""
-
-
-class Row(TypedDict):
-    name: str
-    value: float
-    unit: str
-    ratio: float
-    """To physics alone in the same run."""
-    target: str
-    met: bool | None
 
 
 def run() -> list[Row]:

@@ -3,7 +3,6 @@
 import statistics
 import time
 from collections.abc import Callable
-from typing import TypedDict
 
 import mujoco
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from acgd.tasks import gl, registry
 from acgd.tasks.cameras import CAMERAS, Camera
 from acgd.tasks.rendering import Renderer
+from benchmarks.row import Row
 
 SIZE = 84
 FRAMES = 200
@@ -18,16 +18,6 @@ DEFAULT_FRAMES = 3
 LEAST_RATE, LEAST_RATIO = 400.0, 60.0
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/pen-twirl", "myo/pose", "myo/reach")
 """The hard versions draw the same things."""
-
-
-class Row(TypedDict):
-    name: str
-    value: float
-    unit: str
-    ratio: float
-    """To MuJoCo's defaults in the same run."""
-    target: str
-    met: bool
 
 
 def run() -> list[Row]:

@@ -3,7 +3,6 @@
 import statistics
 import time
 from collections.abc import Callable
-from typing import TypedDict
 
 import torch
 from torch.utils.flop_counter import FlopCounterMode
@@ -19,21 +18,13 @@ from acgd.students.distil import student_losses
 from acgd.students.guidance import Guidance
 from acgd.students.student import Student
 from acgd.students.training import adamw
+from benchmarks.row import Row
 
 TASKS, EPISODES, LENGTH = 3, 30, 100
 FEATURES, PROPRIO, STATE, ACTIONS = 64, 85, 110, 39
 STEPS, WARMUP = 30, 3
 GEMM = 1024
 MOST_GUIDANCE = 1.40
-
-
-class Row(TypedDict):
-    name: str
-    value: float
-    unit: str
-    ratio: float | None
-    target: str
-    met: bool | None
 
 
 def run() -> list[Row]:

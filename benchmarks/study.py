@@ -9,7 +9,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
 
 import yaml
 
@@ -17,6 +16,7 @@ from acgd.artifacts.graph import plan
 from acgd.artifacts.store import RUN, Store
 from acgd.config.load import read_yaml
 from acgd.config.study import load_study
+from benchmarks.row import Row
 
 MOST_MINUTES, MOST_GB = 20.0, 6.0
 LONGEST_PAUSE_S = 60.0
@@ -24,15 +24,6 @@ LONGEST_PAUSE_S = 60.0
 WORKFLOW_JOBS = {"all", "publish", "mlflow", "report"}
 VARIANT_JOBS = {"student", "evaluation"}
 """What a variant that changes a student setting runs, besides."""
-
-
-class Row(TypedDict):
-    name: str
-    value: float
-    unit: str
-    ratio: float | None
-    target: str
-    met: bool | None
 
 
 class NotMeasured(Exception):

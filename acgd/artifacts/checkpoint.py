@@ -1,4 +1,4 @@
-"""The state of a training run as one safetensors file, replaced in one rename: a kill leaves the old or the new one."""
+"""Checkpoints of a training run: one safetensors file, replaced in one rename, so that a kill leaves the old or the new one."""
 
 import json
 from pathlib import Path
@@ -7,42 +7,50 @@ from typing import Any
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import nn
+from torch import Tensor, nn
 
 from acgd.artifacts.atomic import replace_file
 
 FILE = "checkpoint.safetensors"
 
 
-def save_training(
-    folder: Path, model: nn.Module, optimiser: torch.optim.Optimizer, generator: torch.Generator, notes: dict[str, Any]
-) -> None:
-    """Weights, the optimiser's moments and the generator; `notes` (JSON) hold the step and whatever else the loop counts."""
+def save(directory: Path, tensors: dict[str, Tensor], notes: dict[str, Any]) -> None:
+    """Tensors, with `notes` as JSON in the header of the same file."""
+    ready = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    replace_file(directory / FILE, lambda draft: save_file(ready, draft, metadata={"notes": json.dumps(notes)}))
+
+
+def load(directory: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+    """What `save` wrote last, or None where there is nothing to go on from."""
+    if not (directory / FILE).exists():
+        return None
+    with safe_open(directory / FILE, framework="pt") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, json.loads(file.metadata()["notes"])
+
+
+Generators = dict[str, torch.Generator]
+
+
+def training_state(model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> dict[str, Tensor]:
+    """Everything a step depends on, flat: `model.*`, `optimiser.<parameter>.<moment>`, `generator.*`."""
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
     for index, moments in optimiser.state_dict()["state"].items():
         tensors |= {f"optimiser.{index}.{name}": value for name, value in moments.items()}
-    tensors["generator"] = generator.get_state()
-    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    replace_file(folder / FILE, lambda draft: save_file(tensors, draft, metadata={"notes": json.dumps(notes)}))
+    return tensors | {f"generator.{name}": generator.get_state() for name, generator in generators.items()}
 
 
-def restore_training(
-    folder: Path, model: nn.Module, optimiser: torch.optim.Optimizer, generator: torch.Generator
-) -> dict[str, Any] | None:
-    """Puts back what `save_training` wrote and returns its notes; None where there is nothing to go on from."""
-    if not (folder / FILE).exists():
-        return None
-    weights, moments = {}, {}
-    with safe_open(folder / FILE, framework="pt") as file:
-        notes = json.loads(file.metadata()["notes"])
-        for name in file.keys():
-            kind, _, rest = name.partition(".")
-            if kind == "model":
-                weights[rest] = file.get_tensor(name)
-            elif kind == "optimiser":
-                index, moment = rest.split(".")
-                moments.setdefault(int(index), {})[moment] = file.get_tensor(name)
-        generator.set_state(file.get_tensor("generator"))
-    model.load_state_dict(weights)
+def restore(tensors: dict[str, Tensor], model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> None:
+    """The inverse of `training_state`."""
+    model.load_state_dict(under(tensors, "model."))
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in under(tensors, "optimiser.").items():
+        index, moment = name.split(".")
+        moments.setdefault(int(index), {})[moment] = value
     optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
-    return notes
+    for name, generator in generators.items():
+        generator.set_state(tensors[f"generator.{name}"])
+
+
+def under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose name begins with `prefix`, without it."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

@@ -33,9 +33,11 @@ class Expert(nn.Module):
 
     def mean_tensor(self, state: Tensor) -> Tensor:
         """Deterministic action (B, A) in [-1, 1] for states (B, S)."""
+        return self._unclipped(state).clamp(-1.0, 1.0)
+
+    def _unclipped(self, state: Tensor) -> Tensor:
         x = ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
-        x = torch.tanh(self.hidden2(torch.tanh(self.hidden1(x))))
-        return self.action(x).clamp(-1.0, 1.0)
+        return self.action(torch.tanh(self.hidden2(torch.tanh(self.hidden1(x)))))
 
     def mean(self, state: np.ndarray) -> np.ndarray:
         """`mean_tensor` for arrays: (B, S) float32 -> (B, A) float32."""
@@ -43,9 +45,7 @@ class Expert(nn.Module):
 
     def sample(self, state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Stochastic action (B, A): Gaussian around the unclipped mean, then clipped to [-1, 1]."""
-        x = torch.from_numpy(np.ascontiguousarray(state, np.float32))
-        x = ((x - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
-        mean = self.action(torch.tanh(self.hidden2(torch.tanh(self.hidden1(x))))).numpy()
+        mean = self._unclipped(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
         noise = rng.standard_normal(mean.shape).astype(np.float32)
         return np.clip(mean + self.log_std.exp().numpy() * noise, -1.0, 1.0)
 

@@ -7,7 +7,6 @@ then, with seeds that depend on the step alone: uninterrupted runs restart them 
 
 import csv
 import json
-import os
 from pathlib import Path
 
 import gymnasium
@@ -17,6 +16,7 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from acgd.artifacts.atomic import replace_file
 from acgd.config.expert import ExpertRequest, PPOConfig
 from acgd.config.task import TaskConfig
 from acgd.experts.policy import STATE_CLIP, Expert
@@ -151,9 +151,7 @@ def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> Non
         tensors[f"{name}.var"] = torch.as_tensor(np.atleast_1d(rms.var), dtype=torch.float64)
         tensors[f"{name}.count"] = torch.tensor([rms.count], dtype=torch.float64)
     note = {"step": json.dumps(model.num_timesteps), "updates": json.dumps(model._n_updates), "curve": json.dumps(curve)}
-    partial = state / "checkpoint.partial"
-    save_file(tensors, partial, metadata=note)
-    os.replace(partial, state / "checkpoint.safetensors")
+    replace_file(state / "checkpoint.safetensors", lambda draft: save_file(tensors, draft, metadata=note))
 
 
 def _load(state: Path, model: PPO, venv: VecNormalize) -> list[dict]:

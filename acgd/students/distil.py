@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
+from acgd.artifacts.checkpoint import Generators
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.student import StudentRequest
 from acgd.critics.aggregate import AggregateCritic
 from acgd.critics.ensemble import Critic
 from acgd.students import losses, quantizer
-from acgd.students.checkpoint import Generators
 from acgd.students.codebook import Codebook
 from acgd.students.data import Batch, Data
 from acgd.students.fit_codebook import VALIDATION_BATCH, all_codes

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
+from acgd.artifacts import checkpoint
 from acgd.artifacts.stage import Context
 from acgd.config.student import TrainingConfig
-from acgd.students import checkpoint
 
 Step = Callable[[int, bool], tuple[Tensor, dict[str, float]]]
 """(step, whether it is logged) -> the loss, and what to log of it."""

@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.artifacts.checkpoint import restore_training, save_training
+from acgd.artifacts import checkpoint
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.vision import BackboneConfig, BackboneRequest
 from acgd.tasks.registry import TASKS
@@ -56,7 +56,10 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
         torch.manual_seed(settings.seed)
         backbone = PrivilegedBackbone(settings.dim, [len(each.names) for each in frames]).to(ctx.device)
     optimiser = torch.optim.AdamW(backbone.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    notes = restore_training(ctx.state, backbone, optimiser, generator) or {"step": 0}
+    notes, generators = {"step": 0}, {"frames": generator}
+    if (saved := checkpoint.load(ctx.state)) is not None:
+        tensors, notes = saved
+        checkpoint.restore(tensors, backbone, optimiser, generators)
     ctx.metrics.rewind(notes["step"])
     with ctx.progress(settings.steps, "training the backbone", done=notes["step"]) as bar:
         for step in range(notes["step"] + 1, settings.steps + 1):
@@ -68,7 +71,7 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
                 ctx.metrics.log(step, **_flat(_validate(backbone, frames, config)))
             if step % settings.checkpoint_every == 0:
                 ctx.metrics.flush()
-                save_training(ctx.state, backbone, optimiser, generator, {"step": step})
+                checkpoint.save(ctx.state, checkpoint.training_state(backbone, optimiser, generators), {"step": step})
     save_file({k: v.cpu().contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
     meta = {"kind": "privileged", "dim": settings.dim, "tasks": _validate(backbone, frames, config)}
     (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
