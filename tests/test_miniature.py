@@ -118,13 +118,13 @@ def test_an_artifact_that_is_lost_is_made_again_to_the_same_bytes_and_nothing_fo
 
 @pytest.mark.parametrize("name", TRAINED)
 def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, uninterrupted, without, planned):
-    """Steps 1-4, before the first checkpoint; 5-9, after it; and after the second."""
+    """In steps 1-4, before the first checkpoint; in 6-9, after it (in step 5 it is yet to be written); and around the second."""
     artifact = planned.names[name][0]
     folder = without(artifact)
     write_requests(Store(folder / "results"), planned)
     job = [artifact.stage, str(request_file(Store(Path("results")), artifact.place)), "--device", "cpu"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    for steps in (random.randint(1, 4), random.randint(5, 9), random.randint(5, 7)):
+    for steps in (random.randint(1, 4), random.randint(6, 9), random.randint(5, 7)):
         run = subprocess.run([sys.executable, "-c", STOPPED, str(steps), *job], cwd=folder, env=environment, capture_output=True, text=True)
         assert run.returncode == -signal.SIGKILL, run.stderr[-3000:]
         assert not Store(folder / "results").has(artifact.place)
