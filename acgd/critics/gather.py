@@ -11,8 +11,8 @@ from acgd.critics.perturbations import Kind, kinds, offsets
 from acgd.critics.transitions import ROLLOUT, Recorder, Transitions
 from acgd.experts.policy import Expert
 from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.myodex import Snapshot
 from acgd.tasks.seeds import SeedRange
+from acgd.tasks.snapshot import Snapshot
 from acgd.tracking.progress import Bar
 
 CANDIDATES = (("sample", 0.0), ("gaussian", 0.1), ("gaussian", 0.2), ("gaussian", 0.4), ("uniform", 0.0))

@@ -9,7 +9,7 @@ from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.episode import FIELDS
 from acgd.rollouts.store import read_attributes
 from acgd.tasks import registry
-from acgd.tasks.myodex import Snapshot
+from acgd.tasks.snapshot import Snapshot
 
 
 def rerender(artifact_dir: Path, task: TaskConfig, episodes: list[int] | None = None) -> dict[int, np.ndarray]:

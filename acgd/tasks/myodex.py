@@ -8,7 +8,6 @@ starts, the three kinds of success, and snapshots that continue bit for bit.
 import contextlib
 import io
 import warnings
-from dataclasses import dataclass
 
 import gymnasium
 import mujoco
@@ -16,8 +15,10 @@ import numpy as np
 
 from acgd.config.task import TaskConfig
 from acgd.tasks import starts
+from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
+from acgd.tasks.weights import merge_weights
 
 HAND_JOINTS = (
     "pro_sup", "deviation", "flexion",
@@ -38,21 +39,6 @@ MODEL_FIELDS = {
     "reach": ("site_pos",),
 }  # fmt: skip
 """Fields of mjModel that a reset writes: with the integration state they determine the episode."""
-
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """Everything that the continuation of an episode depends on."""
-
-    integration: np.ndarray
-    """(N,) float64, mjSTATE_INTEGRATION."""
-    model_fields: dict[str, np.ndarray]
-    """Fields of mjModel written at reset; `target_angles` (23,) for pose tasks."""
-    steps: int = 0
-    solved_steps: int = 0
-    solved: bool = False
 
 
 class MyoDexTask(gymnasium.Env):
@@ -80,12 +66,12 @@ class MyoDexTask(gymnasium.Env):
         self.render_mode = "rgb_array"
         self.model, self.data = self.base.model, self.base.data
         self.control_step = float(self.model.opt.timestep * self.base.frame_skip)
-        self.reward_weights = _merge_weights(spec.name, self.base.rwd_keys_wt, reward_weights)
+        self.reward_weights = merge_weights(spec.name, self.base.rwd_keys_wt, reward_weights)
         self.base.rwd_keys_wt = self.reward_weights
         self.ignore_time_limit = False
         self.steps = 0
         self.success = SuccessCounter()
-        self._state_size = mujoco.mj_stateSize(self.model, _STATE)
+        self._state_size = mujoco.mj_stateSize(self.model, STATE)
         self._suite_draws_goal = spec.name.endswith("-hard")
         self._hand_qpos, self._hand_qvel = _hand_addresses(self.model)
         if spec.kind == "obj-hold":
@@ -147,7 +133,7 @@ class MyoDexTask(gymnasium.Env):
     def snapshot(self) -> Snapshot:
         """The current state; `restore` continues from it bit for bit."""
         integration = np.empty(self._state_size)
-        mujoco.mj_getState(self.model, self.data, integration, _STATE)
+        mujoco.mj_getState(self.model, self.data, integration, STATE)
         fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[self.task.kind]}
         if self.task.kind == "pose":
             fields["target_angles"] = np.asarray(self.base.target_jnt_value, np.float64).copy()
@@ -161,10 +147,10 @@ class MyoDexTask(gymnasium.Env):
             else:
                 getattr(self.model, name)[:] = value
         mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, snapshot.integration, _STATE)
+        mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         mujoco.mj_forward(self.model, self.data)
         # the forward pass moves the solver's warm start: set it back
-        mujoco.mj_setState(self.model, self.data, snapshot.integration, _STATE)
+        mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         self.steps = snapshot.steps
         self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
         return self._observe()
@@ -272,10 +258,3 @@ def _hand_addresses(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     ids = {model.joint(i).name.removesuffix("_r"): i for i in range(model.njnt)}
     joints = [ids[name] for name in HAND_JOINTS]
     return model.jnt_qposadr[joints].copy(), model.jnt_dofadr[joints].copy()
-
-
-def _merge_weights(task: str, weights: dict[str, float], changed: dict[str, float] | None) -> dict[str, float]:
-    unknown = set(changed or {}) - set(weights)
-    if unknown:
-        raise ValueError(f"{task} has no reward term {sorted(unknown)}; its terms are {sorted(weights)}")
-    return dict(weights) | dict(changed or {})

@@ -41,7 +41,10 @@ def make(task: TaskConfig | str, *, image: bool = True, reward_weights: dict[str
     Without `image` nothing is rendered and the observation holds no image. `reward_weights` replaces
     the named weights of the task's reward; the others stay.
     """
-    from acgd.tasks.myodex import MyoDexTask
-
     config = TaskConfig(name=task) if isinstance(task, str) else task
-    return MyoDexTask(TASKS[config.name], config, image=image, reward_weights=reward_weights)
+    spec = TASKS[config.name]
+    if spec.suite == "myo":
+        from acgd.tasks.myodex import MyoDexTask as Task
+    else:
+        from acgd.tasks.dexterous import DexterousTask as Task
+    return Task(spec, config, image=image, reward_weights=reward_weights)

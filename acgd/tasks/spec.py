@@ -13,8 +13,8 @@ class TaskSpec:
     """Tasks of a suite share their action and proprio spaces."""
     kind: str
     """Which state layout, start distribution and camera it has: `key-turn`, `obj-hold`, ..."""
-    gym_id: str
-    """The simulator's own environment."""
+    gym_id: str | None
+    """MyoSuite's own environment; None in the suites that are built here."""
     horizon: int
     """Steps to the time limit."""
     privileged: tuple[str, ...]

@@ -1,0 +1,194 @@
+"""Tasks of position-controlled robot hands: BiDex (two Shadow Hands) and OpDex (an Allegro hand).
+
+An action moves the servos' targets. It is smoothed, m <- SMOOTHING a + (1 - SMOOTHING) m, and the targets follow,
+q* <- clip(q* + stride m). The targets are MuJoCo's controls; m, and for how many steps the goal has been met, are
+its user data: the simulator's own state is all that an episode continues from.
+"""
+
+from collections.abc import Callable
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from acgd.config.task import TaskConfig
+from acgd.tasks.scene import Scene
+from acgd.tasks.snapshot import STATE, Snapshot
+from acgd.tasks.spec import TaskSpec
+from acgd.tasks.success import SuccessCounter
+from acgd.tasks.weights import merge_weights
+
+SCENES: dict[str, Callable[[], Scene]] = {
+}
+"""By task kind."""
+
+SUBSTEPS = 8
+"""Of 5 ms: 25 control steps a second."""
+SMOOTHING = 0.7
+AFTERWARDS = 10
+"""Control steps from success to the end of an episode, so that its last frame is an image of the goal. It ends as a
+truncation: as a termination, staying just short of success would pay better."""
+WEIGHTS = {"solved": 2.0, "failed": -5.0, "effort": -1e-3, "change": -1e-2}
+"""Of the terms that all tasks share: solved, failed, and the squares of the action and of its change."""
+
+
+class DexterousTask(gymnasium.Env):
+    """A BiDex or OpDex task.
+
+    Observations: `image` (H, W, 3) uint8 (absent with `image=False`); `proprio` float32: the robot's joint positions,
+    velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,) float32:
+    proprio, the steps for which the goal has been met, and everything about the object, named by `state_layout`.
+
+    Actions: (A,) in [-1, 1], in the order of the model's actuators.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        config: TaskConfig,
+        *,
+        image: bool = True,
+        reward_weights: dict[str, float] | None = None,
+    ) -> None:
+        self.task, self.config = spec, config
+        self.scene = scene = SCENES[spec.kind]()
+        self.render_mode = "rgb_array"
+        self.model = scene.model
+        self.data = mujoco.MjData(self.model)
+        self.control_step = float(self.model.opt.timestep * SUBSTEPS)
+        self.reward_weights = merge_weights(spec.name, WEIGHTS | scene.weights, reward_weights)
+        self.ignore_time_limit = False
+        self.steps = 0
+        self.success = SuccessCounter()
+        self._hand_qpos, self._hand_qvel = scene.robot.qpos, scene.robot.qvel
+        self._low, self._high = self.model.actuator_ctrlrange.T
+        self._moving, self._met_steps = self.data.userdata[:-1], self.data.userdata[-1:]  # views
+        self._renderer = None
+        self._image = image
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
+        self._start(None)
+        self.state_layout, at = {}, 0
+        for name, value in (self._proprio_entries() | self._scene_entries()).items():
+            self.state_layout[name] = slice(at, at + value.size)
+            at += value.size
+        proprio = sum(value.size for value in self._proprio_entries().values())
+        spaces = {
+            "proprio": gymnasium.spaces.Box(-np.inf, np.inf, (proprio,), np.float32),
+            "state": gymnasium.spaces.Box(-np.inf, np.inf, (at,), np.float32),
+        }
+        if image:
+            size = config.image_size
+            spaces["image"] = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
+        self.observation_space = gymnasium.spaces.Dict(spaces)
+
+    # -- episode ---------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Start an episode; the same seed gives the same start, whatever came before."""
+        super().reset(seed=seed)
+        if seed is None:
+            seed = int(self.np_random.integers(2**31))
+        self._start(np.random.default_rng([seed, 1]) if self.config.start == "perturbed" else None)
+        self.steps, self.success = 0, SuccessCounter()
+        return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
+
+    def step(self, action: np.ndarray):
+        """One control step. `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set."""
+        action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        if not np.isfinite(action).all():
+            raise ValueError(f"{self.task.name} was given an action that is not a number: look for the fault in the policy")
+        change = action - self._moving
+        self._moving += SMOOTHING * change
+        self.data.ctrl[:] = np.clip(self.data.ctrl + self.scene.robot.stride * self._moving, self._low, self._high)
+        for _ in range(SUBSTEPS):  # second halves first: positions and contacts are up to date afterwards
+            mujoco.mj_step2(self.model, self.data)
+            mujoco.mj_step1(self.model, self.data)
+        self._met_steps[:] = self._met_steps + 1 if self.scene.met(self.data) else 0
+        self.steps += 1
+        self.success.update(bool(self._met_steps[0] >= self.scene.hold_steps))
+        failed = self.scene.failed(self.data)
+        terminated = failed or self._unstable()
+        over = self.steps >= self.task.horizon or self._met_steps[0] >= self.scene.hold_steps + AFTERWARDS
+        truncated = bool(over) and not terminated and not self.ignore_time_limit
+        terms = self.scene.terms(self.data) | {
+            "solved": float(self.success.last),
+            "failed": float(failed),
+            "effort": float(action @ action),
+            "change": float(change @ change),
+        }
+        reward = sum(weight * terms[name] for name, weight in self.reward_weights.items())
+        out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
+        return self._observe(), float(reward), terminated, truncated, out
+
+    def snapshot(self) -> Snapshot:
+        """The current state; `restore` continues from it bit for bit."""
+        integration = np.empty(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, self.data, integration, STATE)
+        return Snapshot(integration, {}, self.steps, self.success.solved_steps, self.success.last)
+
+    def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
+        """Go to a snapshot of the same task, and return its observation."""
+        expected = mujoco.mj_stateSize(self.model, STATE)
+        if snapshot.integration.shape != (expected,):
+            raise ValueError(f"{self.task.name} has states of {expected} numbers, the snapshot {snapshot.integration.size}: it is of another task")
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
+        mujoco.mj_step1(self.model, self.data)
+        self.steps = snapshot.steps
+        self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
+        return self._observe()
+
+    def _start(self, rng: np.random.Generator | None) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        self.scene.reset(self.data, rng)
+        self._check_start()
+        mujoco.mj_step1(self.model, self.data)
+
+    def _check_start(self) -> None:
+        """A scene must start the robot within its joints' ranges."""
+        model, position = self.model, self.data.qpos[self._hand_qpos]
+        joints = model.dof_jntid[self._hand_qvel]
+        low, high = model.jnt_range[joints].T
+        outside = (position < low - 1e-6) | (position > high + 1e-6)
+        if outside.any():
+            at = int(np.flatnonzero(outside)[0])
+            name = model.joint(joints[at]).name
+            raise ValueError(f"{self.task.name} starts joint {name} at {position[at]:.3f}, outside [{low[at]:.3f}, {high[at]:.3f}]: narrow its starts")
+
+    def _unstable(self) -> bool:
+        """Whether MuJoCo met a bad number, upon which it resets itself."""
+        kinds = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+        return any(self.data.warning[kind].number for kind in kinds)
+
+    # -- observation -----------------------------------------------------------------------------
+
+    def render(self) -> np.ndarray:
+        """The current picture (H, W, 3) uint8."""
+        if self._renderer is None:
+            from acgd.tasks.cameras import CAMERAS
+            from acgd.tasks.rendering import Renderer
+
+            self._renderer = Renderer(self.model, camera=CAMERAS[self.task.kind], size=self.config.image_size)
+        return self._renderer.render(self.data)
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        proprio = np.concatenate(list(self._proprio_entries().values())).astype(np.float32)
+        scene = np.concatenate(list(self._scene_entries().values())).astype(np.float32)
+        obs = {"proprio": proprio, "state": np.concatenate([proprio, scene])}
+        if self._image:
+            obs["image"] = self.render()
+        return obs
+
+    def _proprio_entries(self) -> dict[str, np.ndarray]:
+        return {
+            "hand_qpos": self.data.qpos[self._hand_qpos],
+            "hand_qvel": self.data.qvel[self._hand_qvel] * self.control_step,
+            "targets": self.data.ctrl,
+            "moving": self._moving,
+        }
+
+    def _scene_entries(self) -> dict[str, np.ndarray]:
+        held = np.minimum(self._met_steps / self.scene.hold_steps, 1.0)
+        return {"held": held} | self.scene.entries(self.data)
