@@ -9,7 +9,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from acgd.config.student import CodebookConfig, StudentConfig
 from acgd.critics.aggregate import AggregateCritic
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
 from acgd.students import losses
 from acgd.students.codebook import Codebook, Sizes

@@ -9,7 +9,7 @@ from acgd.artifacts.stage import Context
 from acgd.config.student import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
 from acgd.config.task import TaskConfig
 from acgd.config.vision import BackboneConfig
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.rollouts.store import write_group
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress

@@ -14,7 +14,7 @@ from acgd.config.critic import BranchConfig, CriticConfig, CriticRequest, Pertur
 from acgd.config.task import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.critics.fit import fit
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts

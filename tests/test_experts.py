@@ -8,10 +8,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from acgd.config.expert import ExpertRequest, ExpertSettings, PPOConfig
+from acgd.config.expert import ExpertRequest, ExpertSettings, PPOConfig, SACConfig
 from acgd.config.task import TaskConfig
-from acgd.experts import ppo, train
-from acgd.experts.policy import Expert
+from acgd.experts import ppo, sac, train
+from acgd.experts.policy import LOG_STD, Expert
+from acgd.experts.q_ensemble import Critic
+from acgd.experts.replay import Replay
+from acgd.experts.sac_update import SACUpdate
+from acgd.experts.training_env import StateOnly
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
@@ -22,14 +26,23 @@ REQUEST = ExpertRequest(
 )
 
 
+SMALL_SAC = SACConfig(steps=96, envs=2, random_steps=16, updates_per_step=0.5, batch=8, width=8)
+REQUESTS = {
+    "ppo": REQUEST,
+    "sac": REQUEST.model_copy(update={"expert": REQUEST.expert.model_copy(update={"algorithm": "sac", "sac": SMALL_SAC})}),
+}
+LEARNERS = {"ppo": (ppo, ppo.train_ppo), "sac": (sac, sac.train_sac)}
+
+
 class Killed(Exception):
     """Stands for a kill."""
 
 
-def run(folder, stop_after=None, monkeypatch=None):
+def run(algorithm, folder, stop_after=None, monkeypatch=None):
     """Train in `folder`; with `stop_after`, die after so many checkpoints."""
+    module, learn = LEARNERS[algorithm]
     if stop_after is not None:
-        left, save = [stop_after], ppo._save
+        left, save = [stop_after], module._save
 
         def saving(*arguments):
             save(*arguments)
@@ -37,23 +50,106 @@ def run(folder, stop_after=None, monkeypatch=None):
             if left[0] == 0:
                 raise Killed
 
-        monkeypatch.setattr(ppo, "_save", saving)
+        monkeypatch.setattr(module, "_save", saving)
     with open(folder / "progress.log", "w") as stream:
-        return ppo.train_ppo(REQUEST, folder / "state", Metrics(folder / "metrics.jsonl"), Progress(stream))
+        return learn(REQUESTS[algorithm], folder / "state", Metrics(folder / "metrics.jsonl"), Progress(stream))
 
 
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
+@pytest.mark.parametrize("algorithm", LEARNERS)
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch, algorithm):
+    monkeypatch.setattr(sac, "SEGMENT", 32)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     whole.mkdir(), cut.mkdir()
-    run(whole)
+    run(algorithm, whole)
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        run(cut, 1, patch)
+        run(algorithm, cut, 1, patch)
     assert (cut / "state/checkpoint.safetensors").is_file()
-    run(cut)
+    run(algorithm, cut)
     a, b = (load_file(folder / "state/checkpoint.safetensors") for folder in (whole, cut))
     assert a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
-    best = [(folder / "state/best/policy.safetensors").read_bytes() for folder in (whole, cut)]
-    assert best[0] == best[1]
+    for name in ("policy.safetensors", *(("critic.safetensors",) if algorithm == "sac" else ())):
+        best = [(folder / "state/best" / name).read_bytes() for folder in (whole, cut)]
+        assert best[0] == best[1]
+
+
+def test_replay_sums_n_rewards_bootstraps_past_time_limits_and_stops_at_terminations(tmp_path):
+    """Two episodes of rewards 1, 2, 3 with n = 2 and gamma = 0.5: the first ends at a time limit, the second terminates."""
+    replay = Replay(tmp_path, 6, 1, 1, n_step=2, gamma=0.5, envs=1)
+    for terminated in (False, True):
+        for t in range(3):
+            replay.add(0, np.array([t]), np.zeros(1), t + 1, np.array([t + 1]), terminated and t == 2, t == 2)
+    rows = {name: array[: replay.count].ravel().tolist() for name, array in replay._arrays.items()}
+    assert rows["state"] == [0, 1, 2] * 2 and rows["next_state"] == [2, 3, 3] * 2
+    assert rows["reward"] == [1 + 0.5 * 2, 2 + 0.5 * 3, 3] * 2
+    assert rows["discount"] == [0.25, 0.25, 0.5, 0.25, 0, 0]
+    replay.add(0, np.array([9]), np.zeros(1), 1, np.array([9]), False, False)
+    replay.abandon()
+    assert replay.count == 6
+    again = Replay(tmp_path, 6, 1, 1, n_step=2, gamma=0.5, envs=1)
+    assert again._arrays["reward"].tolist() == rows["reward"]
+
+
+def learner(**settings) -> SACUpdate:
+    return SACUpdate(3, 2, SACConfig(width=16, batch=32, precision="float32", **settings), torch.Generator().manual_seed(0))
+
+
+def batch_of(reward: float, discount: float) -> tuple:
+    g = torch.Generator().manual_seed(1)
+    state, action = torch.randn(32, 3, generator=g), torch.rand(32, 2, generator=g) * 2 - 1
+    return state, action, torch.full((32,), reward), torch.randn(32, 3, generator=g), torch.full((32,), discount)
+
+
+def test_sac_density_is_that_of_its_actions():
+    """Integrated over the box by a histogram of samples in one state and one dimension."""
+    update = learner()
+    actions, log_prob = update.sample(torch.zeros(200_000, 3))
+    one = actions[:, 0].detach().numpy()
+    mean, log_std = (value[0, 0].detach().double() for value in update.actor.gaussian(torch.zeros(1, 3)))
+    density, edges = np.histogram(one, bins=40, range=(-0.8, 0.8))
+    centre = torch.from_numpy((edges[1:] + edges[:-1]) / 2)
+    wanted = torch.distributions.Normal(mean, log_std.exp()).log_prob(centre.atanh()).exp() / (1 - centre**2)
+    assert density / len(one) / (edges[1] - edges[0]) == pytest.approx(wanted.numpy(), abs=0.06)
+    normals = torch.distributions.Normal(*(v[0].detach() if i == 0 else v[0].detach().exp() for i, v in enumerate(update.actor.gaussian(torch.zeros(1, 3)))))
+    wanted = (normals.log_prob(actions.detach().atanh()) - torch.log(1 - actions.detach() ** 2)).sum(-1)
+    assert log_prob.detach()[:100].numpy() == pytest.approx(wanted[:100].numpy(), abs=1e-3)
+
+
+def test_sac_critics_learn_the_reward_where_nothing_follows_and_the_policy_climbs_them():
+    update = learner(learning_rate=1e-2, temperature=1e-3)
+    state, action, _, after, _ = batch_of(0, 0)
+    update.normalise(torch.zeros(3), torch.ones(3), 2.0)
+    for _ in range(300):
+        update.update((state, action, 4 * action[:, 0], after, torch.zeros(32)))
+    assert update.critic(state, action).mean(0).detach().numpy() == pytest.approx(4 * action[:, 0].numpy(), abs=0.6)
+    assert update.actor.mean_tensor(state)[:, 0].min() > 0.5
+
+
+def test_sac_target_moves_by_tau_and_only_the_critics_step_between_policy_updates():
+    update = learner(actor_every=2, tau=0.25)
+    update.update(batch_of(1.0, 0.9))
+    policy, old = [p.detach().clone() for p in update.actor.parameters()], [p.clone() for p in update.target.parameters()]
+    update.update(batch_of(1.0, 0.9))
+    assert all(torch.equal(a, b) for a, b in zip(policy, update.actor.parameters()))
+    for before, after, critic in zip(old, update.target.parameters(), update.critic.parameters()):
+        assert torch.allclose(after, before + 0.25 * (critic.detach() - before), atol=1e-6)
+
+
+def test_squashed_expert_survives_the_disk_and_its_spread_depends_on_the_state(tmp_path):
+    expert = Expert(4, 2, 8, {"gamma": 0.9}, squashed=True)
+    expert.spread.weight.normal_(generator=torch.Generator().manual_seed(0))
+    expert.save(tmp_path)
+    again = Expert.load(tmp_path)
+    states = np.random.default_rng(0).normal(size=(6, 4)).astype(np.float32)
+    assert again.squashed and np.array_equal(again.mean(states), expert.mean(states))
+    log_std = again.gaussian(torch.from_numpy(states))[1]
+    assert log_std.std(0).min() > 0 and LOG_STD[0] < log_std.min() and log_std.max() < LOG_STD[1]
+    assert np.abs(again.sample(100 * states, np.random.default_rng(0))).max() <= 1
+
+
+def test_settings_of_the_other_algorithm_do_not_count():
+    one = ExpertSettings(algorithm="sac", ppo=SMALL).only_used()
+    assert one == ExpertSettings(algorithm="sac").only_used() and one != ExpertSettings(algorithm="sac", sac=SMALL_SAC).only_used()
+    assert ExpertSettings(algorithm="sac", sac=SMALL_SAC).learner == SMALL_SAC
 
 
 def test_learning_rate_falls_over_the_whole_run():
@@ -68,7 +164,7 @@ def test_exported_expert_acts_like_the_trained_policy(tmp_path):
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    env = ppo.StateOnly(REQUEST.task, SMALL, 0)
+    env = StateOnly(REQUEST.task, {}, 0)
     venv = VecNormalize(DummyVecEnv([lambda: env]))
     venv.reset()
     for _ in range(20):
@@ -111,6 +207,18 @@ def test_card_of_other_weights_is_refused_with_the_mend(entry):
         train.check(entry)
 
 
+def test_critics_of_other_weights_are_refused(entry):
+    card = json.loads((entry / "card.json").read_text())
+    Critic(3, 2).save(entry)
+    with pytest.raises(ValueError, match="not the card of the critic.safetensors"):
+        train.check(entry)
+    train.write_card(card | {"critic_sha256": train.sha256(entry / "critic.safetensors")}, entry)
+    train.check(entry)
+    (entry / "critic.safetensors").unlink()
+    with pytest.raises(ValueError, match="not the card of the critic.safetensors"):
+        train.check(entry)
+
+
 def test_missing_entry_names_what_the_zoo_has(entry):
     with pytest.raises(FileNotFoundError, match="expert.source to train.*myo-reach"):
         train.check(entry.parent / "myo-pose")
@@ -123,5 +231,6 @@ def test_shipped_cards_belong_to_their_weights_and_hold_what_they_claim():
         card = train.check(folder)
         final = card["success"]["final"]
         assert card["episodes"] >= 200 and final["low"] < final["rate"] == final["successes"] / card["episodes"]
-        assert json.loads((folder / "request.json").read_text())["expert"]["ppo"] == card["settings"]
+        request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
+        assert request.expert.learner.model_dump() == card["settings"] and request.expert.reward_weights == card["reward_weights"]
         assert sum(path.stat().st_size for path in folder.iterdir()) < 2e6

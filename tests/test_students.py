@@ -16,7 +16,7 @@ from acgd import students
 from acgd.artifacts.stage import Context
 from acgd.config.student import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
 from acgd.critics.aggregate import AggregateCritic
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.students import fit_codebook, losses, quantizer
 from acgd.students.acting import Actor
 from acgd.students.codebook import Codebook, Sizes

@@ -24,9 +24,33 @@ class PPOConfig(Section):
     clip: float = Field(default=0.2, gt=0, description="Clip range of the probability ratio.")
     initial_std: float = Field(default=0.37, gt=0, description="Standard deviation of the first policy.")
     entropy: float = Field(default=0.0, ge=0, description="Weight of the entropy bonus.")
-    reward_weights: dict[str, float] = Field(
-        default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
+
+
+class SACConfig(Section):
+    """Soft actor-critic with LayerNorm critics, n-step returns and held exploration noise, on normalised privileged states."""
+
+    steps: int = Field(default=1_000_000, ge=1, description="Environment steps in all.")
+    envs: int = Field(default=8, ge=1, description="Environments in one process.")
+    random_steps: int = Field(default=5_000, ge=1, description="Steps of random actions before learning begins.")
+    updates_per_step: float = Field(default=0.25, gt=0, description="Critic updates per environment step.")
+    actor_every: int = Field(default=2, ge=1, description="Critic updates to one update of policy and temperature.")
+    batch: int = Field(default=256, ge=2, description="Transitions in an update.")
+    replay: int = Field(default=1_000_000, ge=1, description="Updates draw from this many of the newest transitions.")
+    n_step: int = Field(default=3, ge=1, description="Rewards summed before bootstrapping.")
+    width: int = Field(default=256, ge=8, description="Units of the two hidden layers of policy and critics.")
+    action_space: Literal["raw", "excitation"] = Field(
+        default="raw", description="Critics read actions as they are, or as the muscle excitation that MyoSuite makes of them."
     )
+    learning_rate: float = Field(default=3e-4, gt=0, description="Adam's step size at the start.")
+    learning_rate_end: float = Field(default=3e-4, gt=0, description="Adam's step size at the end; linear between.")
+    gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount.")
+    tau: float = Field(default=0.005, gt=0, le=1, description="Share of the critics that enters their targets at an update.")
+    temperature: float = Field(default=0.01, gt=0, description="First weight of the entropy; tuned from there.")
+    target_entropy: float = Field(default=-0.5, description="Entropy to keep, per action dimension.")
+    hold: float = Field(
+        default=2.0, gt=1, description="Exponent of the Zipf law of how many steps exploration noise is held; higher is shorter."
+    )
+    precision: Literal["float32", "bfloat16"] = Field(default="bfloat16", description="Of the matrix products in an update.")
 
 
 class ExpertSettings(Section):
@@ -35,7 +59,12 @@ class ExpertSettings(Section):
     source: Literal["zoo", "train"] = Field(
         default="zoo", description="zoo: the trained expert in zoo/; train: rebuilt from nothing."
     )
-    ppo: PPOConfig = Field(default_factory=PPOConfig, description="Training settings; used where source is train.")
+    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="What trains it; used where source is train.")
+    ppo: PPOConfig = Field(default_factory=PPOConfig, description="Settings of PPO.")
+    sac: SACConfig = Field(default_factory=SACConfig, description="Settings of SAC.")
+    reward_weights: dict[str, float] = Field(
+        default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
+    )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
     evaluation_episodes: int = Field(default=20, ge=1, description="Validation episodes of a learning-curve point.")
@@ -43,6 +72,16 @@ class ExpertSettings(Section):
     checkpoint_every: int = Field(
         default=20_000, ge=1, description="Steps between checkpoints.", json_schema_extra={"key": False}
     )
+
+    @property
+    def learner(self) -> PPOConfig | SACConfig:
+        """The section of the chosen algorithm."""
+        return self.sac if self.algorithm == "sac" else self.ppo
+
+    def only_used(self) -> "ExpertSettings":
+        """Without the settings of the algorithm that is not used: they do not change the expert."""
+        unused = {"ppo": PPOConfig()} if self.algorithm == "sac" else {"sac": SACConfig()}
+        return self.model_copy(update=unused)
 
 
 class ExpertRequest(Section):

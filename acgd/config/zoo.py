@@ -4,6 +4,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
+CRITIC = ("critic.safetensors", "critic.json")
 
 
 def folder(task: str, root: Path | None = None) -> Path:
@@ -17,5 +18,5 @@ def missing(task: str) -> list[str]:
 
 
 def files(task: str) -> tuple[Path, ...]:
-    """The files of a task's expert."""
-    return tuple(folder(task) / name for name in FILES)
+    """The files of a task's expert, and of its own critics where it has them."""
+    return tuple(folder(task) / name for name in FILES) + tuple(path for name in CRITIC if (path := folder(task) / name).is_file())

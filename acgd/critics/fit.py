@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.critic import CriticConfig, CriticRequest
@@ -12,6 +13,7 @@ from acgd.critics.fitted_q import FittedQ
 from acgd.critics.gather import CANDIDATES, branches, candidates, rollouts
 from acgd.critics.transitions import Transitions, concatenate
 from acgd.experts.policy import Expert
+from acgd.experts.q_ensemble import WEIGHTS, Critic
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
@@ -29,25 +31,46 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
     limit = TASKS[config.task.name].horizon
     lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
     data = _gathered(lock, expert, limit, config.critic, ctx.state / "transitions.safetensors", ctx.progress)
-    fitted = FittedQ(data, config.critic, expert.meta["gamma"], ctx.device)
-    _train(fitted, ctx)
-    critic = fitted.finish()
+    if config.critic.source == "expert":
+        critic, branched = own(inputs["expert"], data), 0
+    else:
+        fitted = FittedQ(data, config.critic, expert.meta["gamma"], ctx.device)
+        _train(fitted, ctx)
+        critic, branched = fitted.finish(), len(fitted.groups)
     critic.meta = {
         "task": config.task.name,
+        "source": config.critic.source,
         "gamma": expert.meta["gamma"],
         "reward_weights": expert.meta["reward_weights"],
         "simulator_steps": len(data),
         "transitions_terminated": int(data.terminated.sum()),
-        "branched_states": len(fitted.groups),
+        "branched_states": branched,
     }
     critic.save(ctx.out)
     found = quality.measure(critic, expert, lock, limit, config.critic, ctx.out / "within_state.csv", ctx.progress)
     (ctx.out / "quality.json").write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
 
 
+def own(folder: Path, data: Transitions) -> Critic:
+    """The critics that an off-policy expert has learned, with the spread of their Q over `data` as the task's unit.
+
+    Their Q holds the entropy bonus of its training. Raises ValueError where the expert has none.
+    """
+    if not (folder / WEIGHTS).is_file():
+        raise ValueError(
+            f"critic.source is expert, but {folder} has no {WEIGHTS}: only an off-policy expert (expert.algorithm sac) has critics "
+            "of its own; set critic.source to fqe"
+        )
+    critic = Critic.load(folder)
+    with torch.no_grad():
+        q = critic(torch.from_numpy(data.state), torch.from_numpy(data.action)).mean(0)
+    critic.spread.copy_(q.std().clamp_min(1e-6))
+    return critic
+
+
 def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, progress: Progress) -> Transitions:
     """Rollouts, then branches off states that they passed."""
-    branch = config.branches
+    branch = config.branches if config.source == "fqe" else config.branches.model_copy(update={"states": 0})
     with progress(config.steps, "critic: rollouts, steps") as bar:
         data, visits, _ = rollouts(
             lock, expert, config.perturbation, SEEDS.critic_fit, limit=limit, steps=config.steps,

@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from acgd.config.critic import CriticConfig
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
 

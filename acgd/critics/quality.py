@@ -13,7 +13,7 @@ import torch
 from scipy import stats
 
 from acgd.config.critic import CriticConfig
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.perturbations import Kind
 from acgd.critics.transitions import Transitions

@@ -10,44 +10,67 @@ from torch import Tensor, nn
 
 STATE_CLIP = 10.0
 """Normalised states are clipped to this many standard deviations, as in training."""
+LOG_STD = (-5.0, 1.0)
+"""Bounds of a squashed policy's log standard deviation."""
 
 
 class Expert(nn.Module):
-    """Two tanh layers over the normalised state; mean action (A,) and a state-independent spread.
+    """Two hidden layers over the normalised state, and a mean action (A,) in [-1, 1].
 
-    Actions are clipped to [-1, 1]: PPO's mean can leave the action box, and the clipped action is what
-    the simulator executes and what a student imitates.
+    PPO's policy has tanh layers, one spread for all states, and clips its actions to the box: the clipped action is
+    what the simulator executes and what a student imitates. SAC's (`squashed`) has ReLU layers, a spread that
+    depends on the state, and brings its actions into the box by tanh.
     """
 
-    def __init__(self, state_dim: int, action_dim: int, width: int, meta: dict | None = None) -> None:
+    def __init__(self, state_dim: int, action_dim: int, width: int, meta: dict | None = None, *, squashed: bool = False) -> None:
         super().__init__()
+        self.squashed = squashed
         self.register_buffer("state_mean", torch.zeros(state_dim))
         self.register_buffer("state_std", torch.ones(state_dim))
-        self.register_buffer("log_std", torch.zeros(action_dim))
         self.hidden1 = nn.Linear(state_dim, width)
         self.hidden2 = nn.Linear(width, width)
         self.action = nn.Linear(width, action_dim)
+        if squashed:
+            self.spread = nn.Linear(width, action_dim)
+        else:
+            self.register_buffer("log_std", torch.zeros(action_dim))
         self.meta = dict(meta or {})
         """Task, reward weights and discount of its training."""
         self.eval().requires_grad_(False)
 
     def mean_tensor(self, state: Tensor) -> Tensor:
         """Deterministic action (B, A) in [-1, 1] for states (B, S)."""
-        return self._unclipped(state).clamp(-1.0, 1.0)
+        return self._into_box(self.gaussian(state)[0])
 
-    def _unclipped(self, state: Tensor) -> Tensor:
+    def gaussian(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log standard deviation, each (B, A), before actions are brought into the box."""
+        activation = torch.relu if self.squashed else torch.tanh
         x = ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
-        return self.action(torch.tanh(self.hidden2(torch.tanh(self.hidden1(x)))))
+        x = activation(self.hidden2(activation(self.hidden1(x))))
+        mean = self.action(x)
+        if not self.squashed:
+            return mean, self.log_std.expand_as(mean)
+        low, high = LOG_STD
+        return mean, low + (high - low) * torch.sigmoid(self.spread(x))
+
+    def _into_box(self, action: Tensor) -> Tensor:
+        return torch.tanh(action) if self.squashed else action.clamp(-1.0, 1.0)
 
     def mean(self, state: np.ndarray) -> np.ndarray:
         """`mean_tensor` for arrays: (B, S) float32 -> (B, A) float32."""
-        return self.mean_tensor(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
+        with torch.no_grad():
+            return self.mean_tensor(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
 
     def sample(self, state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Stochastic action (B, A): Gaussian around the unclipped mean, then clipped to [-1, 1]."""
-        mean = self._unclipped(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
-        noise = rng.standard_normal(mean.shape).astype(np.float32)
-        return np.clip(mean + self.log_std.exp().numpy() * noise, -1.0, 1.0)
+        """Stochastic action (B, A): Gaussian, then brought into the box."""
+        noise = rng.standard_normal((len(state), self.action.out_features)).astype(np.float32)
+        return self.act(state, noise)
+
+    def act(self, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Action (B, A) for states (B, S) and standard normal noise (B, A)."""
+        with torch.no_grad():
+            mean, log_std = self.gaussian(torch.from_numpy(np.ascontiguousarray(state, np.float32)))
+            return self._into_box(mean + log_std.exp() * torch.from_numpy(noise)).numpy()
 
     def save(self, folder: Path) -> None:
         """Write policy.safetensors and policy.json."""
@@ -65,7 +88,8 @@ class Expert(nn.Module):
                 raise FileNotFoundError(f"no {path}: set expert.source to train, or restore zoo/ from the repository")
         tensors = load_file(weights)
         width, state_dim = tensors["hidden1.weight"].shape
-        expert = cls(state_dim, tensors["action.weight"].shape[0], width, json.loads(meta.read_text()))
+        action_dim = tensors["action.weight"].shape[0]
+        expert = cls(state_dim, action_dim, width, json.loads(meta.read_text()), squashed="spread.weight" in tensors)
         expert.load_state_dict(tensors)
         return expert
 

@@ -5,11 +5,9 @@ safetensors file and a JSON file, so that a killed run goes on. Environments res
 then, with seeds that depend on the step alone: uninterrupted runs restart them at the same places.
 """
 
-import csv
 import json
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import torch
 from safetensors.torch import load_file, save_file
@@ -18,35 +16,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from acgd.artifacts.atomic import replace_file
 from acgd.config.expert import ExpertRequest, PPOConfig
-from acgd.config.task import TaskConfig
+from acgd.experts.curve import Curve
 from acgd.experts.policy import STATE_CLIP, Expert
-from acgd.experts.success import ENVIRONMENTS, episodes
-from acgd.tasks import registry
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
-
-
-class StateOnly(gymnasium.ObservationWrapper):
-    """The privileged state as the whole observation, and seeds from the training range."""
-
-    def __init__(self, task: TaskConfig, ppo: PPOConfig, stream: int) -> None:
-        super().__init__(registry.make(task, image=False, reward_weights=ppo.reward_weights))
-        self.observation_space = self.env.observation_space["state"]
-        self._rng = np.random.default_rng(stream)
-
-    def reseed(self, entropy: list[int]) -> None:
-        """Start a new stream of episode seeds."""
-        self._rng = np.random.default_rng(entropy)
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Ignores `seed`: the stream decides."""
-        first, last = SEEDS.expert_training.start, SEEDS.expert_training.stop
-        obs, info = self.env.reset(seed=int(self._rng.integers(first, last)))
-        return self.observation(obs), info
-
-    def observation(self, observation: dict) -> np.ndarray:
-        """The state alone."""
-        return observation["state"]
+from acgd.experts.training_env import StateOnly
 
 
 def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Expert, list[dict]]:
@@ -55,7 +27,7 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
     settings, ppo = config.expert, config.expert.ppo
-    envs = [StateOnly(config.task, ppo, i) for i in range(ppo.envs)]
+    envs = [StateOnly(config.task, settings.reward_weights, i) for i in range(ppo.envs)]
     venv = VecNormalize(DummyVecEnv([lambda e=e: e for e in envs]), gamma=ppo.gamma, clip_obs=STATE_CLIP)
     rate = _LearningRate(ppo)
     model = PPO(
@@ -64,10 +36,9 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
         gae_lambda=ppo.gae_lambda, clip_range=ppo.clip, ent_coef=ppo.entropy,
         policy_kwargs={"net_arch": [ppo.width, ppo.width], "log_std_init": float(np.log(ppo.initial_std))},
     )  # fmt: skip
-    curve = _load(state, model, venv)
+    curve = Curve(config, state, metrics, _load(state, model, venv))
     metrics.rewind(model.num_timesteps)
-    lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=ppo.reward_weights)
-    meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": ppo.reward_weights, "algorithm": "ppo"}
+    meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": settings.reward_weights, "algorithm": "ppo"}
     segment = ppo.envs * ppo.rollout_steps
     due = settings.checkpoint_every
     with progress(ppo.steps, f"expert {config.task.name}", done=model.num_timesteps) as bar:
@@ -82,15 +53,8 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
             model.learn(segment, reset_num_timesteps=False)
             now = model.num_timesteps
             if now // settings.evaluate_every > before // settings.evaluate_every or now >= ppo.steps:
-                expert = export(model, venv, meta)
-                row = _point(expert, config, lock, now)
-                row["std"] = float(model.policy.log_std.detach().exp().mean())
-                curve.append(row)
-                metrics.log(now, **{k: v for k, v in row.items() if k != "step"})
-                if row == max(curve, key=lambda r: (r["final"], r["return"])):
-                    (state / "best").mkdir(parents=True, exist_ok=True)
-                    expert.meta["steps"] = now
-                    expert.save(state / "best")
+                std = float(model.policy.log_std.detach().exp().mean())
+                row = curve.add(export(model, venv, meta), now, std=std)
                 bar.update(now - before, final=row["final"], ret=row["return"])
             else:
                 bar.update(now - before)
@@ -98,8 +62,8 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
             if due <= 0 or now >= ppo.steps:
                 due = settings.checkpoint_every
                 metrics.flush()
-                _save(state, model, venv, curve)
-    return Expert.load(state / "best"), curve
+                _save(state, model, venv, curve.points)
+    return Expert.load(state / "best"), curve.points
 
 
 class _LearningRate:
@@ -131,13 +95,6 @@ def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
         }
     )  # fmt: skip
     return expert
-
-
-def _point(expert: Expert, config: ExpertRequest, lock: Lockstep, step: int) -> dict:
-    rows = episodes(expert, config.task, SEEDS.validation.take(config.expert.evaluation_episodes), lock)
-    keys = ("final", "held", "once", "return", "steps")
-    mean = {k: float(np.mean([row[k] for row in rows])) for k in keys}
-    return {"step": step, **{k: mean[k] for k in keys[:4]}, "length": mean["steps"]}
 
 
 def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> None:
@@ -177,11 +134,3 @@ def _load(state: Path, model: PPO, venv: VecNormalize) -> list[dict]:
         rms.count = float(tensors[f"{name}.count"])
     model.num_timesteps, model._n_updates = json.loads(note["step"]), json.loads(note["updates"])
     return json.loads(note["curve"])
-
-
-def write_curve(curve: list[dict], path: Path) -> None:
-    """The learning curve as csv."""
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(curve[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(curve)

@@ -11,34 +11,53 @@ from scipy.stats import binomtest
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.expert import ExpertRequest
 from acgd.experts.policy import Expert
+from acgd.experts.q_ensemble import META, WEIGHTS
 from acgd.experts.success import episodes
 from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
 
 ZOO = Path(__file__).resolve().parents[2] / "zoo"
 FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
+CRITIC = (WEIGHTS, META)
+"""An off-policy expert's own critics, as the critic stage saves them."""
 SIMULATOR = ("mujoco", "myosuite", "myo-sim")
+ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC"}
 
 
 def train(config: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
-    """Write policy.safetensors, policy.json, card.json and curve.csv of one expert."""
+    """Write policy.safetensors, policy.json, card.json and curve.csv of one expert; SAC's own critics beside them."""
     if config.expert.source == "zoo":
         take(TASKS[config.task.name].slug, ctx)
         return
-    from acgd.experts.ppo import train_ppo, write_curve
+    from acgd.experts.curve import write_curve
 
-    expert, curve = train_ppo(config, ctx.state, ctx.metrics, ctx.progress)
+    expert, points = _learn(config)(config, ctx.state, ctx.metrics, ctx.progress)
     expert.save(ctx.out)
-    write_curve(curve, ctx.out / "curve.csv")
+    for name in CRITIC:
+        if (ctx.state / "best" / name).is_file():
+            shutil.copyfile(ctx.state / "best" / name, ctx.out / name)
+    write_curve(points, ctx.out / "curve.csv")
     write_card(card(config, ctx.out), ctx.out)
+
+
+def _learn(config: ExpertRequest):
+    """The algorithm's training function; only its own libraries are imported."""
+    if config.expert.algorithm == "sac":
+        from acgd.experts.sac import train_sac
+
+        return train_sac
+    from acgd.experts.ppo import train_ppo
+
+    return train_ppo
 
 
 def take(slug: str, ctx: Context) -> None:
     """Copy zoo/<slug>, after checking that the card belongs to the weights."""
     folder = ZOO / slug
     check(folder)
-    for name in FILES:
-        shutil.copyfile(folder / name, ctx.out / name)
+    for name in (*FILES, *CRITIC):
+        if (folder / name).is_file():
+            shutil.copyfile(folder / name, ctx.out / name)
     for line in (folder / "curve.csv").read_text().splitlines()[1:]:
         step, final, held, once, total = line.split(",")[:5]
         ctx.metrics.log(int(step), final=float(final), held=float(held), once=float(once), **{"return": float(total)})
@@ -53,11 +72,14 @@ def check(folder: Path) -> dict:
             f"{folder} lacks {', '.join(missing)}: set expert.source to train, or use a task of the zoo ({', '.join(have)})"
         )
     found = json.loads((folder / "card.json").read_text())
-    if found["sha256"] != sha256(folder / "policy.safetensors"):
-        raise ValueError(
-            f"{folder}/card.json is not the card of the policy.safetensors beside it: "
-            f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
-        )
+    for entry, name in (("sha256", "policy.safetensors"), ("critic_sha256", WEIGHTS)):
+        if (name == WEIGHTS and not (folder / name).is_file()) and entry not in found:
+            continue
+        if not (folder / name).is_file() or found.get(entry) != sha256(folder / name):
+            raise ValueError(
+                f"{folder}/card.json is not the card of the {name} beside it: "
+                f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
+            )
     return found
 
 
@@ -68,10 +90,11 @@ def card(config: ExpertRequest, folder: Path) -> dict:
     settings = config.expert
     return {
         "task": config.task.name,
-        "algorithm": "PPO (stable-baselines3)",
-        "steps": expert.meta.get("steps", settings.ppo.steps),
+        "algorithm": ALGORITHMS[settings.algorithm],
+        "steps": expert.meta.get("steps", settings.learner.steps),
         "seed": settings.seed,
-        "settings": settings.ppo.model_dump(),
+        "settings": settings.learner.model_dump(),
+        "reward_weights": settings.reward_weights,
         "start": config.task.start,
         "versions": {name: importlib.metadata.version(name) for name in (*SIMULATOR, "stable-baselines3", "torch")},
         "success": {rule: wilson([row[rule] for row in rows]) for rule in ("final", "held", "once")},
@@ -79,7 +102,7 @@ def card(config: ExpertRequest, folder: Path) -> dict:
         "episodes": len(rows),
         "first_seed": rows[0]["seed"],
         "sha256": sha256(folder / "policy.safetensors"),
-    }
+    } | ({"critic_sha256": sha256(folder / WEIGHTS)} if (folder / WEIGHTS).is_file() else {})
 
 
 def wilson(outcomes: list[bool]) -> dict:

@@ -7,7 +7,7 @@ from acgd.artifacts.checkpoint import Generators
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.student import StudentRequest
 from acgd.critics.aggregate import AggregateCritic
-from acgd.critics.ensemble import Critic
+from acgd.experts.q_ensemble import Critic
 from acgd.students import losses, quantizer
 from acgd.students.codebook import Codebook
 from acgd.students.data import Batch, Data

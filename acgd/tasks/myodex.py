@@ -40,6 +40,9 @@ MODEL_FIELDS = {
 }  # fmt: skip
 """Fields of mjModel that a reset writes: with the integration state they determine the episode."""
 
+FAR = 100.0
+"""Metres or radians: an episode in which a joint gets this far ends, unsolved, with no reward in that step."""
+
 
 class MyoDexTask(gymnasium.Env):
     """A MyoDex task.
@@ -120,15 +123,22 @@ class MyoDexTask(gymnasium.Env):
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
 
     def step(self, action: np.ndarray):
-        """One control step. `truncated` at the time limit, unless `ignore_time_limit` is set."""
+        """One control step. `truncated` at the time limit, unless `ignore_time_limit` is set; an unstable simulation terminates."""
         _, reward, terminated, _, info = self.base.step(np.asarray(action, np.float32))
-        terminated = terminated or self.base._check_mj_instability_termination()
         self.steps += 1
-        self.success.update(bool(info["solved"]))
+        if self._unstable():
+            terminated, reward, terms = True, 0.0, dict.fromkeys(self.reward_weights, 0.0)
+            self.success.update(False)
+        else:
+            terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.reward_weights}
+            self.success.update(bool(info["solved"]))
         truncated = self.steps >= self.task.horizon and not terminated and not self.ignore_time_limit
-        terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.reward_weights}
         out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
         return self._observe(), reward, terminated, truncated, out
+
+    def _unstable(self) -> bool:
+        """Whether the simulation has left physics behind: a pen thrown for kilometres would be a reward of -46,000."""
+        return self.base._check_mj_instability_termination() or np.abs(self.data.qpos).max() > FAR
 
     def snapshot(self) -> Snapshot:
         """The current state; `restore` continues from it bit for bit."""

@@ -1,4 +1,7 @@
-"""Q_i: an ensemble of LayerNorm networks on privileged state and action, stacked into batched weights."""
+"""Q_i: an ensemble of LayerNorm networks on privileged state and action, stacked into batched weights.
+
+SAC learns two of them beside its policy; fitted Q evaluation fits them to a frozen one. Both save the same files.
+"""
 
 import json
 from pathlib import Path
@@ -72,7 +75,8 @@ class Critic(nn.Module):
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
             x = F.silu(torch.addcmul(offset, normal, gain))
-        return torch.baddbmm(self.biases[-1], x, self.weights[-1]).squeeze(-1)
+        with torch.autocast(x.device.type, enabled=False):  # returns need more digits than bf16 has
+            return torch.baddbmm(self.biases[-1], x.float(), self.weights[-1]).squeeze(-1)
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""

@@ -1,0 +1,50 @@
+"""The learning curve of an expert: success on validation seeds while it trains."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from acgd.config.expert import ExpertRequest
+from acgd.experts.policy import Expert
+from acgd.experts.q_ensemble import Critic
+from acgd.experts.success import ENVIRONMENTS, episodes
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+
+
+class Curve:
+    """Points of the curve, and the best expert so far, by (final success, return), in `state`/best."""
+
+    def __init__(self, config: ExpertRequest, state: Path, metrics, points: list[dict]) -> None:
+        self.points = points
+        self._config, self._best, self._metrics = config, state / "best", metrics
+        self._lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=config.expert.reward_weights)
+
+    def add(self, expert: Expert, step: int, critic: Critic | None = None, **more: float) -> dict:
+        """Evaluate the deterministic `expert` on validation seeds, never on the card's; returns the new point.
+
+        If it is the best so far it is kept, with its `critic` where the algorithm has one.
+        """
+        count = self._config.expert.evaluation_episodes
+        rows = episodes(expert, self._config.task, SEEDS.validation.take(count), self._lock)
+        mean = {key: float(np.mean([row[key] for row in rows])) for key in ("final", "held", "once", "return", "steps")}
+        length = mean.pop("steps")
+        point = {"step": step, **mean, "length": length, **more}
+        self.points.append(point)
+        self._metrics.log(step, **{key: value for key, value in point.items() if key != "step"})
+        if point == max(self.points, key=lambda row: (row["final"], row["return"])):
+            self._best.mkdir(parents=True, exist_ok=True)
+            expert.meta["steps"] = step
+            expert.save(self._best)
+            if critic:
+                critic.save(self._best)
+        return point
+
+
+def write_curve(points: list[dict], path: Path) -> None:
+    """The learning curve as csv."""
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(points[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(points)

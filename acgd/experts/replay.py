@@ -1,0 +1,61 @@
+"""The transitions of an off-policy run, on disk from the moment they happen, so that a resumed run has them all."""
+
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class Replay:
+    """Transitions over up to n steps, appended to memory-mapped files and never overwritten.
+
+    A row holds s_t (S,), a_t (A,), sum_{j<m} gamma^j r_{t+j}, s_{t+m} and gamma^m, or 0 where the task terminated;
+    m is n, or fewer where the episode ended. Time limits are bootstrapped past. `count` rows are valid: a checkpoint
+    keeps the number, and what was written after it is written again.
+    """
+
+    def __init__(self, folder: Path, capacity: int, state_dim: int, action_dim: int, n_step: int, gamma: float, envs: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._n, self._gamma, self.count = n_step, gamma, 0
+        self._open = [deque() for _ in range(envs)]
+        shapes = {"state": (state_dim,), "action": (action_dim,), "reward": (), "next_state": (state_dim,), "discount": ()}
+        self._arrays = {name: self._mapped(folder / f"{name}.f32", (capacity, *shape)) for name, shape in shapes.items()}
+
+    @staticmethod
+    def _mapped(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+        return np.memmap(path, np.float32, "r+" if path.exists() else "w+", shape=shape)
+
+    def add(self, env: int, state: np.ndarray, action: np.ndarray, reward: float, next_state: np.ndarray, terminated: bool, ended: bool) -> None:
+        """One step of environment number `env`; `ended` closes its episode."""
+        steps = self._open[env]
+        steps.append((state, action, float(reward)))
+        if ended:
+            while steps:
+                self._write(steps, next_state, terminated)
+        elif len(steps) == self._n:
+            self._write(steps, next_state, False)
+
+    def abandon(self) -> None:
+        """Forget the steps that wait for their n-th: their episodes are not continued."""
+        for steps in self._open:
+            steps.clear()
+
+    def _write(self, steps: deque, last: np.ndarray, terminated: bool) -> None:
+        rewards = sum(self._gamma**j * reward for j, (_, _, reward) in enumerate(steps))
+        discount = 0.0 if terminated else self._gamma ** len(steps)
+        state, action, _ = steps.popleft()
+        for name, value in zip(self._arrays, (state, action, rewards, last, discount)):
+            self._arrays[name][self.count] = value
+        self.count += 1
+
+    def sample(self, batch: int, newest: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """`batch` of the `newest` rows, with replacement: s (B, S), a (B, A), r (B,), s' (B, S), discount (B,)."""
+        rows = np.sort(rng.integers(max(0, self.count - newest), self.count, batch))
+        return tuple(torch.from_numpy(array[rows]) for array in self._arrays.values())
+
+    def flush(self) -> None:
+        """Bring the rows onto the disk."""
+        for array in self._arrays.values():
+            array.flush()

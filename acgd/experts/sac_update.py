@@ -1,0 +1,135 @@
+"""One update of soft actor-critic, arranged for a CPU core.
+
+Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; Adam and
+the target's average are one fused call each; matrix products run in bfloat16 where the settings say so, weights,
+moments and returns stay in float32.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from acgd.config.expert import SACConfig
+from acgd.experts.policy import Expert
+from acgd.experts.q_ensemble import Critic
+
+FIRST_STD = 0.5
+"""Of the first policy."""
+
+
+class SACUpdate:
+    """Policy, twin critics, their targets, temperature, and the optimisers of all three.
+
+    Rewards come in units of `reward_scale`, the running standard deviation of discounted returns: the critics regress
+    Q / reward_scale, and `Critic.scale` brings them back into reward units.
+    """
+
+    def __init__(self, state_dim: int, action_dim: int, sac: SACConfig, generator: torch.Generator) -> None:
+        self.sac, self.generator = sac, generator
+        self.actor = Expert(state_dim, action_dim, sac.width, squashed=True).requires_grad_(True)
+        _initialise(self.actor, generator)
+        self.critic = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space, generator)
+        self.target = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space)
+        self.target.load_state_dict(self.critic.state_dict())
+        self.target.requires_grad_(False)
+        self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature)))
+        self.weights = {"actor": list(self.actor.parameters()), "critic": list(self.critic.parameters()), "temperature": [self.log_temperature]}
+        self.optimisers = {name: torch.optim.Adam(weights, sac.learning_rate, fused=True) for name, weights in self.weights.items()}
+        self.step = 0
+
+    def normalise(self, mean: Tensor, std: Tensor, reward_scale: float) -> None:
+        """Adopt the running statistics of states (S,) and returns."""
+        for network in (self.actor, self.critic, self.target):
+            network.state_mean.copy_(mean)
+            network.state_std.copy_(std)
+        self.critic.scale.fill_(reward_scale)
+        self.target.scale.fill_(reward_scale)
+
+    def learning_rate(self, rate: float) -> None:
+        """For the updates that follow."""
+        for optimiser in self.optimisers.values():
+            optimiser.param_groups[0]["lr"] = rate
+
+    def update(self, batch: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]) -> None:
+        """One step of the critics, every `actor_every` also one of policy and temperature, and one of the targets."""
+        state, action, reward, next_state, discount = batch
+        temperature = self.log_temperature.detach().exp()
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.sac.precision == "bfloat16"):
+            with torch.no_grad():
+                next_action, log_prob = self.sample(next_state)
+                value = self.target.standard(next_state, next_action).amin(0) - temperature * log_prob
+                y = reward / self.critic.scale + discount * value
+            critic_loss = F.mse_loss(self.critic.standard(state, action), y.expand(2, -1))
+            self._descend("critic", critic_loss)
+            if self.step % self.sac.actor_every == 0:
+                new_action, log_prob = self.sample(state)
+                actor_loss = (temperature * log_prob - self.critic.standard(state, new_action).amin(0)).mean()
+                self._descend("actor", actor_loss)
+                entropy = -log_prob.detach().mean()
+                self._descend("temperature", self.log_temperature * (entropy - self.sac.target_entropy * action.shape[1]))
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.target.parameters()), list(self.critic.parameters()), self.sac.tau)
+        self.step += 1
+
+    def sample(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Action (B, A) of the policy and its log density (B,)."""
+        mean, log_std = (value.float() for value in self.actor.gaussian(state))
+        noise = torch.randn(mean.shape, generator=self.generator)
+        before = mean + log_std.exp() * noise
+        gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
+        # log(1 - tanh(x)^2), without cancellation
+        squash = 2 * (math.log(2) - before - F.softplus(-2 * before))
+        return torch.tanh(before), (gaussian - squash).sum(-1)
+
+    def _descend(self, name: str, loss: Tensor) -> None:
+        weights = self.weights[name]
+        for weight, gradient in zip(weights, torch.autograd.grad(loss, weights)):
+            weight.grad = gradient
+        self.optimisers[name].step()
+
+    # -- checkpoint --------------------------------------------------------------------------------
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything that the next updates depend on, besides the generator."""
+        tensors = {"log_temperature": self.log_temperature.detach()}
+        for name, network in (("actor", self.actor), ("critic", self.critic), ("target", self.target)):
+            tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
+        for name, optimiser in self.optimisers.items():
+            for i, moments in optimiser.state_dict()["state"].items():
+                tensors |= {f"adam.{name}.{i}.{key}": value for key, value in moments.items()}
+        return tensors
+
+    def load(self, tensors: dict[str, Tensor], step: int) -> None:
+        """The inverse of `tensors`, after `step` updates."""
+        self.step = step
+        with torch.no_grad():
+            self.log_temperature.copy_(tensors["log_temperature"])
+        for name, network in (("actor", self.actor), ("critic", self.critic), ("target", self.target)):
+            network.load_state_dict(_under(tensors, f"{name}."))
+        for name, optimiser in self.optimisers.items():
+            moments: dict[int, dict[str, Tensor]] = {}
+            for key, value in _under(tensors, f"adam.{name}.").items():
+                i, moment = key.split(".")
+                moments.setdefault(int(i), {})[moment] = value
+            optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
+
+
+def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _initialise(actor: Expert, generator: torch.Generator) -> None:
+    """Uniform by fan-in, as torch does; the first actions small, the first spread FIRST_STD."""
+    from acgd.experts.policy import LOG_STD
+
+    with torch.no_grad():
+        for layer in (actor.hidden1, actor.hidden2, actor.action, actor.spread):
+            bound = layer.in_features**-0.5
+            layer.weight.uniform_(-bound, bound, generator=generator)
+            layer.bias.zero_()
+        low, high = LOG_STD
+        share = (math.log(FIRST_STD) - low) / (high - low)
+        actor.spread.weight.mul_(0.1)
+        actor.spread.bias.fill_(math.log(share / (1 - share)))
