@@ -98,7 +98,8 @@ class Expert(nn.Module):
         """An untrained expert, for tests and as a floor."""
         expert = cls(state_dim, action_dim, 32, {"reward_weights": {}, "gamma": 0.97} | dict(meta or {}))
         generator = torch.Generator().manual_seed(seed)
-        for tensor in (expert.hidden1.weight, expert.hidden2.weight, expert.action.weight):
-            tensor.copy_(torch.randn(tensor.shape, generator=generator) / tensor.shape[1] ** 0.5)
+        for layer in (expert.hidden1, expert.hidden2, expert.action):
+            layer.weight.copy_(torch.randn(layer.weight.shape, generator=generator) / layer.in_features**0.5)
+            layer.bias.zero_()
         expert.log_std.fill_(-1.0)
         return expert
