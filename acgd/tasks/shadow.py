@@ -1,0 +1,201 @@
+"""Two Shadow Hands with floating bases: the robot of the BiDex suite.
+
+The hand's own description and meshes come from the gymnasium-robotics package, which is only read, never
+imported. Both are right hands, as in Bi-DexHands. A base has three slides along the world's axes and three
+hinges at the palm; the fingers have 20 motors, the four outermost joints following their neighbours by tendons.
+"""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from acgd.tasks.scene import Robot, rest
+
+SIDES = ("right", "left")
+"""Order of the hands in actions and observations, and the prefix of their names."""
+BASE = ("x", "y", "z", "roll", "pitch", "yaw")
+FINGERS = ("ff", "mf", "rf", "lf", "th")
+"""Index to little finger, thumb: order of fingertips."""
+
+JOINTS = (
+    *BASE, "WRJ1", "WRJ0",
+    "FFJ3", "FFJ2", "FFJ1", "FFJ0", "MFJ3", "MFJ2", "MFJ1", "MFJ0", "RFJ3", "RFJ2", "RFJ1", "RFJ0",
+    "LFJ4", "LFJ3", "LFJ2", "LFJ1", "LFJ0", "THJ4", "THJ3", "THJ2", "THJ1", "THJ0",
+)  # fmt: skip
+"""Order of a hand's 30 joints in `proprio`."""
+COUPLED = [i for i, name in enumerate(JOINTS) if name.endswith("J0") and name[:2] not in ("WR", "TH")]
+"""Indices of the outermost joints, which follow the one before them."""
+BASE_SLIDE, BASE_TURN, FINGER_TURN = 0.008, 0.03, 0.08
+"""By how much an action of 1 moves a target in a control step: metres, radians, part of the joint's range."""
+START_SLIDE, START_NOISE = 0.015, 0.05
+"""Noise of a start, uniform: a base's place in metres, all angles in parts of their range."""
+
+TIP = (0.0, 0.0, 0.02)
+"""Where a fingertip is in its last link, metres, as Bi-DexHands defines it."""
+PALM = (0.0, -0.02, 0.08)
+"""Where the middle of the palm is in its link, metres."""
+OBJECT = {"contype": 2, "conaffinity": 1}
+TABLE = {"contype": 1, "conaffinity": 3}
+"""What touches what: hands (contype 1, conaffinity 0) and objects touch the table and each other, but never their like."""
+_PALM_IN_MOUNT = (0.0, 0.01, 0.29)
+_SLIDE = {"kp": 1500.0, "kv": 80.0, "force": 150.0, "armature": 0.5}
+_HINGE = {"kp": 60.0, "kv": 3.0, "force": 20.0, "armature": 0.02}
+
+
+@dataclass(frozen=True)
+class HandPlace:
+    """Where a hand's base is when its six joints are zero, and how far they go."""
+
+    palm: tuple[float, float, float]
+    """The palm link's origin in the world, metres."""
+    fingers: tuple[float, float, float]
+    """Unit vector along the outstretched fingers, in the world."""
+    back: tuple[float, float, float]
+    """Unit vector out of the back of the hand, in the world."""
+    slide: float = 0.25
+    """Metres either way."""
+    turn: float = 0.6
+    """Radians either way."""
+
+    def quat(self) -> np.ndarray:
+        """(w, x, y, z) of the hand's frame: x to the thumb's side, y out of the back, z along the fingers."""
+        y, z = np.asarray(self.back, float), np.asarray(self.fingers, float)
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, np.stack([np.cross(y, z), y, z], axis=1).ravel())
+        return quat
+
+
+def hand_file() -> Path:
+    """The Shadow Hand's MJCF in the installed gymnasium-robotics."""
+    package = find_spec("gymnasium_robotics")
+    folders = package.submodule_search_locations if package else None
+    file = Path(next(iter(folders), "")) / "envs/assets/hand/reach.xml" if folders else None
+    if file is None or not file.is_file():
+        raise FileNotFoundError(
+            "The BiDex tasks need the Shadow Hand's model, which comes with gymnasium-robotics"
+            + (f" and is missing from it ({file})" if file else "")
+            + "; install it with: pip install --force-reinstall --no-deps gymnasium-robotics==1.4.2"
+        )
+    return file
+
+
+def new_spec() -> mujoco.MjSpec:
+    """An empty scene that hands can be added to."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    _same_settings(spec)
+    return spec
+
+
+def add_table(spec: mujoco.MjSpec, half_size: tuple[float, float], height: float) -> None:
+    """A table in the middle of the world, its top `height` metres up."""
+    half = height / 2.0
+    spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=(*half_size, half), pos=(0, 0, half), rgba=(0.42, 0.33, 0.25, 1), **TABLE
+    )
+
+
+def add_hands(spec: mujoco.MjSpec, right: HandPlace, left: HandPlace) -> None:
+    """Put both hands into a scene begun with `new_spec`."""
+    file = str(hand_file())
+    for side, place in zip(SIDES, (right, left)):
+        base = spec.worldbody.add_body(name=f"{side}/base", pos=place.palm, gravcomp=1.0)
+        base.mass, base.inertia, base.explicitinertial = 0.01, (1e-5,) * 3, True
+        for i, name in enumerate(BASE):
+            _add_base_joint(spec, base, f"{side}/{name}", i, place)
+        quat = place.quat()
+        offset = np.empty(3)
+        mujoco.mju_rotVecQuat(offset, -np.array(_PALM_IN_MOUNT), quat)
+        hand = _load_hand(file)
+        base.add_frame(pos=offset, quat=quat).attach_body(hand.body("robot0:hand mount"), f"{side}/", "")
+
+
+def _add_base_joint(spec: mujoco.MjSpec, base, name: str, i: int, place: HandPlace) -> None:
+    slides = i < 3
+    gains, reach = (_SLIDE, place.slide) if slides else (_HINGE, place.turn)
+    kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+    base.add_joint(name=name, type=kind, axis=np.eye(3)[i % 3], range=(-reach, reach), limited=True, armature=gains["armature"])
+    motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_position(kp=gains["kp"], kv=gains["kv"])
+    motor.ctrllimited = motor.forcelimited = True
+    motor.ctrlrange, motor.forcerange = (-reach, reach), (-gains["force"], gains["force"])
+
+
+def _load_hand(file: str) -> mujoco.MjSpec:
+    """A hand alone, without its sensors, the tendons that only measure, and its place in its own scene."""
+    hand = mujoco.MjSpec.from_file(file)
+    _same_settings(hand)
+    for sensor in list(hand.sensors):
+        hand.delete(sensor)
+    for tendon in list(hand.tendons):
+        if not tendon.name.endswith("J1c"):  # those couple a finger's last joint to the one before it
+            hand.delete(tendon)
+    mount = hand.body("robot0:hand mount")
+    mount.pos, mount.quat = (0, 0, 0), (1, 0, 0, 0)
+    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # its Euler angles would override the quaternion
+    for body in hand.bodies:
+        body.gravcomp = 1.0
+        for joint in body.joints:
+            joint.frictionloss = 0.0
+        for geom in body.geoms:
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.contype == 0:
+                geom.group = 0  # drawn
+    return hand
+
+
+def _same_settings(spec: mujoco.MjSpec) -> None:
+    """What must agree before specs are merged: MuJoCo warns of differences, and takes the smaller time step."""
+    spec.option.timestep, spec.option.iterations = 0.005, 20
+    spec.njmax = spec.nconmax = -1
+    spec.nuser_jnt = spec.nuser_site = spec.nuser_tendon = spec.nuser_sensor = spec.nuser_actuator = -1
+
+
+class Hands:
+    """Both hands of a compiled scene: where they are, and where they start."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        joints = [f"{side}/{name if name in BASE else f'robot0:{name}'}" for side in SIDES for name in JOINTS]
+        low, high = model.actuator_ctrlrange.T
+        base = np.r_[np.full(3, BASE_SLIDE), np.full(3, BASE_TURN)]
+        stride = np.concatenate([np.r_[base, FINGER_TURN * s[6:]] for s in np.split(high - low, len(SIDES))])
+        self.robot = Robot.of(model, joints, stride)
+        self._range = model.jnt_range[[model.joint(name).id for name in joints]].T
+        self._tips = [model.body(f"{side}/robot0:{finger}distal").id for side in SIDES for finger in FINGERS]
+        self._palms = [model.body(f"{side}/robot0:palm").id for side in SIDES]
+        self.geoms = {side: _geoms(model, f"{side}/") for side in SIDES}
+        """(ngeom,) bool by side."""
+
+    def tips(self, data: mujoco.MjData) -> np.ndarray:
+        """Fingertips (2, 5, 3) in the world, metres, in the order of SIDES and FINGERS."""
+        return _points(data, self._tips, TIP).reshape(len(SIDES), len(FINGERS), 3)
+
+    def palms(self, data: mujoco.MjData) -> np.ndarray:
+        """Middles of the palms (2, 3) in the world, metres."""
+        return _points(data, self._palms, PALM)
+
+    def start(self, data: mujoco.MjData, right: dict[str, float], left: dict[str, float], rng: np.random.Generator | None) -> None:
+        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is `rng`."""
+        pose = np.array([joints.get(name, 0.0) for joints in (right, left) for name in JOINTS])
+        if rng is not None:
+            pose += rng.uniform(-START_NOISE, START_NOISE, pose.size) * np.ptp(self._range, axis=0)
+            slides = np.concatenate([np.arange(3), np.arange(3) + len(JOINTS)])
+            pose[slides] = [joints.get(name, 0.0) for joints in (right, left) for name in BASE[:3]]
+            pose[slides] += rng.uniform(-START_SLIDE, START_SLIDE, slides.size)
+        pose = np.clip(pose, *self._range)
+        for hand in np.split(pose, len(SIDES)):
+            for last in COUPLED:
+                hand[last] = hand[last - 1]
+        data.qpos[self.robot.qpos] = pose
+        data.ctrl[:] = rest(self._model, data)
+
+
+def _points(data: mujoco.MjData, bodies: list[int], offset: tuple[float, float, float]) -> np.ndarray:
+    return data.xpos[bodies] + data.xmat[bodies].reshape(-1, 3, 3) @ offset
+
+
+def _geoms(model: mujoco.MjModel, prefix: str) -> np.ndarray:
+    return np.array([model.body(model.geom_bodyid[i]).name.startswith(prefix) for i in range(model.ngeom)])
