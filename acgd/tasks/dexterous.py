@@ -12,13 +12,20 @@ import mujoco
 import numpy as np
 
 from acgd.config.task import TaskConfig
+from acgd.tasks import spray
 from acgd.tasks.scene import Scene
+from acgd.tasks.scissors import Scissors
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
+from acgd.tasks.switch import Switch
 from acgd.tasks.weights import merge_weights
 
 SCENES: dict[str, Callable[[], Scene]] = {
+    "spray-1": lambda: spray.SprayScene("spray-1"),
+    "spray-2": lambda: spray.SprayScene("spray-2"),
+    "scissors": Scissors,
+    "switch": Switch,
 }
 """By task kind."""
 

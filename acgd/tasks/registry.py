@@ -8,6 +8,9 @@ _HOLD = ("obj_pos", "goal_pos")
 _PEN = ("obj_pos", "obj_rot", "obj_des_rot")
 _POSE = ("target_tips",)
 _REACH = ("target_pos",)
+_SPRAY = ("bottle_pos", "bottle_rot", "trigger")
+_SCISSORS = ("scissors_pos", "scissors_rot")
+_SWITCH = ("handle", "rocker")
 
 _SPECS = (
     TaskSpec("myo/key-turn", "myo", "key-turn", "myoHandKeyTurnFixed-v0", 200, _KEY,
@@ -30,6 +33,14 @@ _SPECS = (
              "all five targets move together by up to 1.5 cm an axis: they are in the image"),
     TaskSpec("myo/reach-hard", "myo", "reach", "myoHandReachRandom-v0", 100, _REACH,
              "each target varies on its own: they are in the image"),
+    TaskSpec("bidex/scissors", "bidex", "scissors", None, 125, _SCISSORS,
+             "fixed: the scissors open; where they lie is in the image"),
+    TaskSpec("bidex/switch", "bidex", "switch", None, 125, _SWITCH,
+             "fixed: both rockers pressed; where the switches stand is in the image"),
+    TaskSpec("opdex/spray-1", "opdex", "spray-1", None, 125, _SPRAY,
+             "fixed: hold the trigger of a round bottle; the bottle's place and yaw are in the image"),
+    TaskSpec("opdex/spray-2", "opdex", "spray-2", None, 125, _SPRAY,
+             "fixed: hold the trigger of a box-shaped bottle; the bottle's place and yaw are in the image"),
 )
 
 TASKS: dict[str, TaskSpec] = {spec.name: spec for spec in _SPECS}

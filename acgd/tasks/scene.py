@@ -1,5 +1,6 @@
 """What a dexterous task brings along: robot and object, where they start, what is scored, when it is over."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -77,7 +78,7 @@ def rest(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 def closeness(distance: float) -> float:
     """1 at contact, 0 far away; `distance` in metres."""
-    return 1.0 - np.tanh(distance / REACH)
+    return 1.0 - math.tanh(distance / REACH)
 
 
 def touching(data: mujoco.MjData, one: np.ndarray, other: np.ndarray) -> bool:

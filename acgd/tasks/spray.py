@@ -1,0 +1,179 @@
+"""OpDex: take a spray bottle by its neck and press the trigger, without knocking the bottle over.
+
+World: +x is where the bottle sprays, +z is up, the table's top is z = 0. The hand comes from -y, its palm towards +y,
+its index finger uppermost.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from acgd.tasks import allegro
+from acgd.tasks.scene import NEAR, Robot, closeness, compiled, rest, touching
+
+
+@dataclass(frozen=True)
+class Bottle:
+    """Metres. The trigger hangs from the head, `REACH_OUT` in front of the neck's axis."""
+
+    half: tuple[float, float, float]
+    """Of the body. Round: radius, radius, half height."""
+    round: bool
+    neck_radius: float
+    trigger: float
+    """Length of the trigger, and of the neck beside it."""
+
+    @property
+    def shoulder(self) -> float:
+        """Height at which body ends and neck begins."""
+        return 2 * self.half[2]
+
+
+BOTTLES: dict[str, Bottle] = {
+    "spray-1": Bottle((0.036, 0.036, 0.075), True, 0.016, 0.060),
+    "spray-2": Bottle((0.045, 0.032, 0.055), False, 0.018, 0.070),
+}
+
+REACH_OUT = 0.05
+TRAVEL = 0.5
+"""rad, to which the trigger goes."""
+PRESSED = 0.35
+"""rad, from which the bottle sprays."""
+HOLD_STEPS = 10
+UPRIGHT, TOPPLED = 0.9, 0.8
+"""Cosine of the bottle's tilt."""
+TABLE = 0.35
+"""Half a side of the table, metres."""
+
+GRASP = np.array([0.05, 0.0, 0.0])
+"""Where in the palm's frame the neck's axis belongs, metres."""
+PALM = (0.5, 0.5, 0.5, 0.5)
+"""Orientation of the palm where the wrist's hinges are zero: palm +x is world +y, +y is +z, +z is +x."""
+WRIST = np.array([(-0.20, 0.15), (-0.25, 0.10), (-0.10, 0.15), (-0.6, 0.6), (-0.6, 0.6), (-0.6, 0.6)])
+"""Range of the wrist, about the place where the neck is at GRASP."""
+OPEN = np.array([0, 0.0, 0.4, 0.3] * 3 + [1.2, 0.3, 0.1, 0.1])
+"""Fingers of the near start, rad."""
+NEAR_WRIST = np.array([-0.02, -0.09, 0.0, 0, 0, 0])
+FAR_WRIST = np.array([-0.06, -0.22, 0.06, 0, 0, 0])
+WRIST_NOISE, JOINT_NOISE = 0.015, 0.05
+"""Metres; share of a finger joint's range."""
+PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE = 0.02, 0.15, 0.05
+"""Of the bottle: metres, rad, rad."""
+
+
+class SprayScene:
+    """One of BOTTLES, a table and an Allegro hand."""
+
+    weights = {"palm": 0.5, "fingers": 0.5, "grip": 0.5, "trigger": 3.0, "tilt": -2.0}
+    hold_steps = HOLD_STEPS
+
+    def __init__(self, variant: str) -> None:
+        if variant not in BOTTLES:
+            raise ValueError(f"there is no bottle {variant!r}; the bottles are {', '.join(BOTTLES)}")
+        self.bottle = BOTTLES[variant]
+        self.model = model = _build(self.bottle)
+        self.robot = Robot.of(model, list(allegro.JOINTS), allegro.stride(model))
+        self._tips = [model.site(name).id for name in allegro.TIPS]
+        self._neck, self._grip, self._palm = model.site("neck").id, model.site("trigger").id, model.site("grasp").id
+        self._body, self._hand = model.body("bottle").id, model.body("palm").id
+        self._place = model.joint("bottle").qposadr[0]
+        self._motion = model.joint("bottle").dofadr[0]
+        self._trigger, self._trigger_speed = model.joint("trigger").qposadr[0], model.joint("trigger").dofadr[0]
+        names = [model.body(b).name for b in model.geom_bodyid]
+        self._is_neck = np.array([model.geom(i).name in ("neck", "head") for i in range(model.ngeom)])
+        self._is_trigger = np.array([name == "trigger" for name in names])
+        self._is_thumb = np.array([name.startswith("thumb") for name in names])
+        self._is_finger = np.array([name.startswith(("index", "middle", "ring")) for name in names])
+
+    def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
+        """The hand open, beside the neck or a hand's length away; the bottle upright, its nozzle towards +x."""
+        wrist, fingers, place = FAR_WRIST.copy(), OPEN.copy(), np.zeros(4)
+        if rng is not None:
+            near = rng.random() < NEAR
+            wrist = (NEAR_WRIST if near else FAR_WRIST).copy()
+            wrist[:3] += rng.uniform(-WRIST_NOISE, WRIST_NOISE, 3)
+            low, high = self.model.actuator_ctrlrange[6:].T
+            fingers = np.clip(fingers + rng.uniform(-JOINT_NOISE, JOINT_NOISE, 16) * (high - low), low, high)
+            place = rng.uniform(-1, 1, 4) * [PLACE_NOISE, PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE]
+        data.qpos[self.robot.qpos] = np.concatenate([wrist, fingers])
+        data.qpos[self._place : self._place + 2] = place[:2]
+        data.qpos[self._place + 3 : self._place + 7] = [np.cos(place[2] / 2), 0, 0, np.sin(place[2] / 2)]
+        data.qpos[self._trigger] = abs(place[3])
+        data.ctrl[:] = rest(self.model, data)
+
+    def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
+        """Rotations as two columns of the matrix; vectors in the world's frame, metres and seconds."""
+        neck, tips = data.site_xpos[self._neck], data.site_xpos[self._tips]
+        return {
+            "bottle_pos": data.xpos[self._body],
+            "bottle_rot": data.xmat[self._body, :6],
+            "bottle_vel": data.qvel[self._motion : self._motion + 6],
+            "trigger": data.qpos[self._trigger : self._trigger + 1],
+            "trigger_vel": data.qvel[self._trigger_speed : self._trigger_speed + 1],
+            "palm_rot": data.xmat[self._hand, :6],
+            "palm_neck": neck - data.site_xpos[self._palm],
+            "tips_neck": (neck - tips).ravel(),
+            "tips_trigger": (data.site_xpos[self._grip] - tips).ravel(),
+            "touch": np.array(self._touch(data), float),
+        }
+
+    def terms(self, data: mujoco.MjData) -> dict[str, float]:
+        """Each between 0 and 1."""
+        neck, grip, tips = data.site_xpos[self._neck], data.site_xpos[self._grip], data.site_xpos[self._tips]
+        thumb, finger, _ = self._touch(data)
+        return {
+            "palm": closeness(np.linalg.norm(neck - data.site_xpos[self._palm])),
+            "fingers": closeness(np.linalg.norm(grip - tips[:2], axis=1).mean()),
+            "grip": float(thumb and finger),
+            "trigger": float(np.clip(data.qpos[self._trigger] / PRESSED, 0.0, 1.0)),
+            "tilt": 1.0 - self._upright(data),
+        }
+
+    def met(self, data: mujoco.MjData) -> bool:
+        """The trigger is pressed and the bottle upright."""
+        return bool(data.qpos[self._trigger] > PRESSED and self._upright(data) > UPRIGHT)
+
+    def failed(self, data: mujoco.MjData) -> bool:
+        """The bottle has toppled or left the table."""
+        return bool(self._upright(data) < TOPPLED or np.abs(data.xpos[self._body, :2]).max() > TABLE)
+
+    def _upright(self, data: mujoco.MjData) -> float:
+        return float(data.xmat[self._body, 8])
+
+    def _touch(self, data: mujoco.MjData) -> tuple[bool, bool, bool]:
+        """Whether the thumb is at the neck, a finger at neck or trigger, a finger at the trigger."""
+        pressed = touching(data, self._is_finger, self._is_trigger)
+        return touching(data, self._is_thumb, self._is_neck), pressed or touching(data, self._is_finger, self._is_neck), pressed
+
+
+def _build(bottle: Bottle) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(TABLE, TABLE, 0.01), rgba=(0.55, 0.47, 0.38, 1))
+    _add_bottle(spec, bottle)
+    height = bottle.shoulder + 0.2 * bottle.trigger
+    allegro.add_hand(spec, (-GRASP[2], -GRASP[0], height), PALM, WRIST)
+    spec.body("palm").add_site(name="grasp", pos=GRASP, group=3)
+    return compiled(spec)
+
+
+def _add_bottle(spec: mujoco.MjSpec, bottle: Bottle) -> None:
+    """Body, neck and head in one piece, .36 kg, free; the trigger on a hinge with a spring."""
+    body = spec.worldbody.add_body(name="bottle")
+    body.add_freejoint(name="bottle")
+    shape = mujoco.mjtGeom.mjGEOM_CYLINDER if bottle.round else mujoco.mjtGeom.mjGEOM_BOX
+    size = (bottle.half[0], bottle.half[2], 0) if bottle.round else bottle.half
+    top = bottle.shoulder + bottle.trigger
+    blue, white, red = (0.16, 0.45, 0.80, 1), (0.92, 0.92, 0.95, 1), (0.90, 0.20, 0.12, 1)
+    capsule, box = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX
+    body.add_geom(name="body", type=shape, size=size, pos=(0, 0, bottle.half[2]), mass=0.30, rgba=blue)
+    body.add_geom(name="neck", type=capsule, size=(bottle.neck_radius, 0, 0), fromto=(0, 0, bottle.shoulder, 0, 0, top), mass=0.02, rgba=white)
+    body.add_geom(name="head", type=box, size=(0.045, 0.014, 0.012), pos=(0.02, 0, top + 0.012), mass=0.03, rgba=white)
+    body.add_site(name="neck", pos=(0, 0, bottle.shoulder + 0.5 * bottle.trigger), group=3)
+    trigger = body.add_body(name="trigger", pos=(REACH_OUT, 0, top))
+    trigger.add_joint(
+        name="trigger", axis=(0, 1, 0), range=(0, TRAVEL), limited=True, stiffness=0.2, springref=-0.15, damping=0.01, armature=1e-4
+    )
+    trigger.add_geom(name="trigger", type=capsule, size=(0.006, 0, 0), fromto=(0, 0, 0, 0, 0, -bottle.trigger), mass=0.01, rgba=red)
+    trigger.add_site(name="trigger", pos=(0, 0, -0.6 * bottle.trigger), group=3)
