@@ -38,6 +38,8 @@ truncation: as a termination, staying just short of success would pay better."""
 WEIGHTS = {"solved": 2.0, "failed": -5.0, "effort": -1e-3, "change": -1e-2}
 """Of the terms that all tasks share: solved, failed, and the squares of the action and of its change."""
 
+_BAD = [int(kind) for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
+
 
 class DexterousTask(gymnasium.Env):
     """A BiDex or OpDex task.
@@ -103,12 +105,12 @@ class DexterousTask(gymnasium.Env):
 
     def step(self, action: np.ndarray):
         """One control step. `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set."""
-        action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        if not np.isfinite(action).all():
+        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip takes longer
+        if np.isnan(action).any():
             raise ValueError(f"{self.task.name} was given an action that is not a number: look for the fault in the policy")
         change = action - self._moving
         self._moving += SMOOTHING * change
-        self.data.ctrl[:] = np.clip(self.data.ctrl + self.scene.robot.stride * self._moving, self._low, self._high)
+        self.data.ctrl[:] = np.minimum(np.maximum(self.data.ctrl + self.scene.robot.stride * self._moving, self._low), self._high)
         for _ in range(SUBSTEPS):  # second halves first: positions and contacts are up to date afterwards
             mujoco.mj_step2(self.model, self.data)
             mujoco.mj_step1(self.model, self.data)
@@ -166,8 +168,7 @@ class DexterousTask(gymnasium.Env):
 
     def _unstable(self) -> bool:
         """Whether MuJoCo met a bad number, upon which it resets itself."""
-        kinds = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-        return any(self.data.warning[kind].number for kind in kinds)
+        return bool(self.data.warning.number[_BAD].any())
 
     # -- observation -----------------------------------------------------------------------------
 

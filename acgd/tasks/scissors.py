@@ -1,0 +1,114 @@
+"""BiDex Scissors: a large pair of scissors on a table, to be opened by pulling its handles apart, one in each hand."""
+
+import mujoco
+import numpy as np
+
+from acgd.tasks import shadow
+from acgd.tasks.scene import NEAR, closeness, compiled
+
+TABLE = 0.6
+"""Height of the table, metres."""
+CLOSED, OPEN = -0.59, -0.3
+"""Angles of the hinge, radians: at the start, and from where on the scissors count as open. It goes on to WIDE."""
+WIDE = 0.4
+HINGE = (-0.07, 0.0, 0.0)
+"""In the frame of the scissors, whose x points at the hands, metres."""
+BLADE, WIDTH, HALF = 0.23, 0.012, 0.006
+"""A blade's length, its half width, and half the thickness of all parts, metres."""
+RING = ((0.13, 0.012), (0.13, 0.134), (0.245, 0.134), (0.245, 0.012))
+"""Corners of the right hand's handle from the hinge, metres; the left hand's is its mirror image."""
+GRIP = (0.1875, 0.073, 0.0)
+"""The middle of that handle: where the fingers go."""
+PLACE_NOISE, YAW_NOISE = 0.04, 0.3
+"""Of a perturbed start, uniform: metres an axis, radians."""
+_BENT = {f"{finger}J2": 0.7 for finger in ("FF", "MF", "RF", "LF")}
+NEAR_RIGHT = {"x": -0.03, "y": -0.13, "z": -0.02} | _BENT
+NEAR_LEFT = {"x": -0.03, "y": 0.13, "z": -0.02} | _BENT
+"""Fingers half bent, some centimetres above the handles."""
+
+
+class Scissors:
+    """The hands and the free scissors. Without noise the fingers are straight, 20 cm above the table and outside of the handles."""
+
+    weights = {"reach": 0.5, "opening": 3.0, "original": 0.0}
+    hold_steps = 1
+
+    def __init__(self) -> None:
+        self.model = model = compiled(_build())
+        self.hands = shadow.Hands(model)
+        self.robot = self.hands.robot
+        self._body = model.body("scissors").id
+        free, hinge = model.joint("scissors"), model.joint("hinge")
+        self._place, self._velocity = int(free.qposadr[0]), int(free.dofadr[0])
+        self._angle, self._speed = int(hinge.qposadr[0]), int(hinge.dofadr[0])
+        self._handles = [model.site(f"handle/{side}").id for side in shadow.SIDES]
+
+    def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
+        right, left = {}, {}
+        if rng is not None:
+            if rng.random() < NEAR:
+                right, left = NEAR_RIGHT, NEAR_LEFT
+            data.qpos[self._place : self._place + 2] += rng.uniform(-PLACE_NOISE, PLACE_NOISE, 2)
+            half = rng.uniform(-YAW_NOISE, YAW_NOISE) / 2.0
+            data.qpos[self._place + 3 : self._place + 7] = np.cos(half), 0.0, 0.0, np.sin(half)
+        self.hands.start(data, right, left, rng)
+
+    def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
+        rotation = data.xmat[self._body].reshape(3, 3)
+        handles = data.site_xpos[self._handles]
+        return {
+            "scissors_pos": data.xpos[self._body],
+            "scissors_rot": rotation[:, [0, 2]].T.ravel(),
+            "scissors_vel": data.qvel[self._velocity : self._velocity + 6],
+            "hinge": data.qpos[[self._angle]],
+            "hinge_speed": data.qvel[[self._speed]],
+            "tips_to_handle": (handles[:, None] - self.hands.tips(data)).ravel(),
+        }
+
+    def terms(self, data: mujoco.MjData) -> dict[str, float]:
+        """`original` is Bi-DexHands' reward."""
+        handles = data.site_xpos[self._handles]
+        far = np.linalg.norm(handles[:, None] - self.hands.tips(data), axis=2)
+        opened = float(data.qpos[self._angle]) - CLOSED
+        return {
+            "reach": float(sum(closeness(d) for d in far[:, :4].mean(axis=1))),  # the thumb has no part in it
+            "opening": float(np.clip(opened / 0.6, 0.0, 1.0)),
+            "original": float(2.0 - far.sum() + 5.0 * opened * (far.sum(axis=1) < 0.7).all()),
+        }
+
+    def met(self, data: mujoco.MjData) -> bool:
+        return bool(data.qpos[self._angle] > OPEN)
+
+    def failed(self, data: mujoco.MjData) -> bool:
+        """Whether the scissors have fallen from the table."""
+        return bool(data.xpos[self._body, 2] < TABLE - 0.1)
+
+
+def _build() -> mujoco.MjSpec:
+    spec = shadow.new_spec()
+    shadow.add_table(spec, (0.25, 0.5), TABLE)
+    scissors = spec.worldbody.add_body(name="scissors", pos=(0, 0, TABLE + HALF))
+    scissors.add_freejoint(name="scissors")
+    _add_half(scissors, HINGE, 1.0, "right", (0.75, 0.15, 0.12, 1))
+    other = scissors.add_body(name="scissors/left", pos=HINGE)
+    other.add_joint(
+        name="hinge", axis=(0, 0, -1), limited=True, range=(CLOSED - 0.007, WIDE), ref=CLOSED, damping=0.02, frictionloss=0.02, armature=0.001
+    )  # fmt: skip
+    _add_half(other, (0.0, 0.0, 0.0), -1.0, "left", (0.95, 0.7, 0.1, 1))
+    ahead, up = (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    right, left = (shadow.HandPlace((0.26, y, 0.81), fingers=ahead, back=up) for y in (0.2, -0.2))
+    shadow.add_hands(spec, right, left)
+    return spec
+
+
+def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, colour: tuple[float, ...]) -> None:
+    """A blade and a handle from `hinge`, the handle on the side of `sign` times y."""
+    box, hinge = mujoco.mjtGeom.mjGEOM_BOX, np.array(hinge)
+    look = {"type": box, "rgba": colour, **shadow.OBJECT}
+    blade = hinge + (-BLADE / 2.0, 0.0, -sign * HALF / 2.0)  # one above the other
+    body.add_geom(size=(BLADE / 2.0, WIDTH, HALF / 2.0), pos=blade, mass=0.05, **look)
+    corners = [hinge + (x, sign * y, 0.0) for x, y in RING]
+    near = (corners[0] + corners[1]) / 2.0
+    for start, end in [(hinge, near), *zip(corners, corners[1:] + corners[:1])]:
+        body.add_geom(fromto=np.r_[start, end], size=(HALF, 0, 0), mass=0.02, **look)
+    body.add_site(name=f"handle/{side}", pos=hinge + np.array(GRIP) * (1.0, sign, 1.0), group=5)
