@@ -81,7 +81,16 @@ def closeness(distance: float) -> float:
     return 1.0 - math.tanh(distance / REACH)
 
 
-def touching(data: mujoco.MjData, one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether a geom of `one` is in contact with a geom of `other`, both (ngeom,) bool."""
-    first, second = data.contact.geom.T
-    return bool(np.any((one[first] & other[second]) | (one[second] & other[first])))
+class Touch:
+    """Tells of P pairs of parts whether they touch, in one pass over the contacts."""
+
+    def __init__(self, *pairs: tuple[np.ndarray, np.ndarray]) -> None:
+        """Each part is a mask (ngeom,) bool."""
+        one, other = np.stack([a for a, _ in pairs]), np.stack([b for _, b in pairs])
+        both = one[:, :, None] & other[:, None, :]
+        self._pairs = np.ascontiguousarray((both | both.swapaxes(1, 2)).transpose(1, 2, 0))  # (ngeom, ngeom, P)
+
+    def __call__(self, data: mujoco.MjData) -> np.ndarray:
+        """(P,) bool"""
+        touching = data.contact.geom
+        return self._pairs[touching[:, 0], touching[:, 1]].any(axis=0)

@@ -4,13 +4,14 @@ World: +x is where the bottle sprays, +z is up, the table's top is z = 0. The ha
 its index finger uppermost.
 """
 
+import math
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from acgd.tasks import allegro
-from acgd.tasks.scene import NEAR, Robot, closeness, compiled, rest, touching
+from acgd.tasks.scene import NEAR, Robot, Touch, closeness, compiled, rest
 
 
 @dataclass(frozen=True)
@@ -80,11 +81,11 @@ class SprayScene:
         self._place = model.joint("bottle").qposadr[0]
         self._motion = model.joint("bottle").dofadr[0]
         self._trigger, self._trigger_speed = model.joint("trigger").qposadr[0], model.joint("trigger").dofadr[0]
-        names = [model.body(b).name for b in model.geom_bodyid]
-        self._is_neck = np.array([model.geom(i).name in ("neck", "head") for i in range(model.ngeom)])
-        self._is_trigger = np.array([name == "trigger" for name in names])
-        self._is_thumb = np.array([name.startswith("thumb") for name in names])
-        self._is_finger = np.array([name.startswith(("index", "middle", "ring")) for name in names])
+        bodies, geoms = _names(model.body, model.geom_bodyid), _names(model.geom, range(model.ngeom))
+        neck, trigger = np.isin(geoms, ("neck", "head")), geoms == "trigger"
+        thumb = np.char.startswith(bodies, "thumb")
+        finger = np.char.startswith(bodies, "index") | np.char.startswith(bodies, "middle") | np.char.startswith(bodies, "ring")
+        self._touch = Touch((thumb, neck), (finger, neck | trigger), (finger, trigger))
 
     def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
         """The hand open, beside the neck or a hand's length away; the bottle upright, its nozzle towards +x."""
@@ -103,7 +104,8 @@ class SprayScene:
         data.ctrl[:] = rest(self.model, data)
 
     def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
-        """Rotations as two columns of the matrix; vectors in the world's frame, metres and seconds."""
+        """Rotations as two rows of the matrix; vectors in the world's frame, metres and seconds. `touch`: thumb and neck, a
+        finger and neck or trigger, a finger and trigger."""
         neck, tips = data.site_xpos[self._neck], data.site_xpos[self._tips]
         return {
             "bottle_pos": data.xpos[self._body],
@@ -115,18 +117,18 @@ class SprayScene:
             "palm_neck": neck - data.site_xpos[self._palm],
             "tips_neck": (neck - tips).ravel(),
             "tips_trigger": (data.site_xpos[self._grip] - tips).ravel(),
-            "touch": np.array(self._touch(data), float),
+            "touch": self._touch(data),
         }
 
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
         """Each between 0 and 1."""
-        neck, grip, tips = data.site_xpos[self._neck], data.site_xpos[self._grip], data.site_xpos[self._tips]
+        grip, index, middle = data.site_xpos[[self._grip, *self._tips[:2]]]
         thumb, finger, _ = self._touch(data)
         return {
-            "palm": closeness(np.linalg.norm(neck - data.site_xpos[self._palm])),
-            "fingers": closeness(np.linalg.norm(grip - tips[:2], axis=1).mean()),
+            "palm": closeness(math.dist(data.site_xpos[self._neck], data.site_xpos[self._palm])),
+            "fingers": closeness((math.dist(grip, index) + math.dist(grip, middle)) / 2),
             "grip": float(thumb and finger),
-            "trigger": float(np.clip(data.qpos[self._trigger] / PRESSED, 0.0, 1.0)),
+            "trigger": min(max(float(data.qpos[self._trigger]) / PRESSED, 0.0), 1.0),
             "tilt": 1.0 - self._upright(data),
         }
 
@@ -136,15 +138,14 @@ class SprayScene:
 
     def failed(self, data: mujoco.MjData) -> bool:
         """The bottle has toppled or left the table."""
-        return bool(self._upright(data) < TOPPLED or np.abs(data.xpos[self._body, :2]).max() > TABLE)
+        return bool(self._upright(data) < TOPPLED or max(map(abs, data.xpos[self._body, :2])) > TABLE)
 
     def _upright(self, data: mujoco.MjData) -> float:
         return float(data.xmat[self._body, 8])
 
-    def _touch(self, data: mujoco.MjData) -> tuple[bool, bool, bool]:
-        """Whether the thumb is at the neck, a finger at neck or trigger, a finger at the trigger."""
-        pressed = touching(data, self._is_finger, self._is_trigger)
-        return touching(data, self._is_thumb, self._is_neck), pressed or touching(data, self._is_finger, self._is_neck), pressed
+
+def _names(of, ids) -> np.ndarray:
+    return np.array([of(int(i)).name for i in ids])
 
 
 def _build(bottle: Bottle) -> mujoco.MjModel:
