@@ -21,7 +21,7 @@ STRIDE = np.array([0.008] * 3 + [0.03] * 3)
 """Metres and radians by which a wrist target moves in a control step."""
 FINGER_STRIDE = 0.08
 """Of a finger joint's range."""
-SHELL, LINK, TIP = (0.16, 0.16, 0.19, 1.0), (0.42, 0.43, 0.47, 1.0), (0.93, 0.93, 0.90, 1.0)
+SHELL, LINK, TIP = (0.34, 0.36, 0.42, 1.0), (0.50, 0.52, 0.57, 1.0), (0.95, 0.93, 0.86, 1.0)
 
 
 @dataclass(frozen=True)

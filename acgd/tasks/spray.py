@@ -166,11 +166,11 @@ def _add_bottle(spec: mujoco.MjSpec, bottle: Bottle) -> None:
     shape = mujoco.mjtGeom.mjGEOM_CYLINDER if bottle.round else mujoco.mjtGeom.mjGEOM_BOX
     size = (bottle.half[0], bottle.half[2], 0) if bottle.round else bottle.half
     top = bottle.shoulder + bottle.trigger
-    blue, white, red = (0.16, 0.45, 0.80, 1), (0.92, 0.92, 0.95, 1), (0.90, 0.20, 0.12, 1)
+    blue, yellow, red = (0.16, 0.45, 0.80, 1), (0.95, 0.75, 0.20, 1), (0.90, 0.15, 0.10, 1)
     capsule, box = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(name="body", type=shape, size=size, pos=(0, 0, bottle.half[2]), mass=0.30, rgba=blue)
-    body.add_geom(name="neck", type=capsule, size=(bottle.neck_radius, 0, 0), fromto=(0, 0, bottle.shoulder, 0, 0, top), mass=0.02, rgba=white)
-    body.add_geom(name="head", type=box, size=(0.045, 0.014, 0.012), pos=(0.02, 0, top + 0.012), mass=0.03, rgba=white)
+    body.add_geom(name="neck", type=capsule, size=(bottle.neck_radius, 0, 0), fromto=(0, 0, bottle.shoulder, 0, 0, top), mass=0.02, rgba=yellow)
+    body.add_geom(name="head", type=box, size=(0.045, 0.014, 0.012), pos=(0.02, 0, top + 0.012), mass=0.03, rgba=yellow)
     body.add_site(name="neck", pos=(0, 0, bottle.shoulder + 0.5 * bottle.trigger), group=3)
     trigger = body.add_body(name="trigger", pos=(REACH_OUT, 0, top))
     trigger.add_joint(
