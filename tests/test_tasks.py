@@ -21,8 +21,12 @@ def envs():
     return {name: registry.make(name, image=False) for name in TASKS}
 
 
-def actions(n: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, (n, 39)).astype(np.float32)
+def actions(env, n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (n, *env.action_space.shape)).astype(np.float32)
+
+
+def idle(env) -> np.ndarray:
+    return np.zeros(env.action_space.shape)
 
 
 def run(env, moves) -> np.ndarray:
@@ -40,12 +44,12 @@ def test_gymnasium_checker(name):
 def test_same_seed_same_episode(envs, name):
     env = envs[name]
     first = env.reset(seed=5)[0]["state"]
-    a = run(env, actions(8))
+    a = run(env, actions(env, 8))
     env.reset(seed=6)
-    run(env, actions(3, seed=1))
+    run(env, actions(env, 3, seed=1))
     again = env.reset(seed=5)[0]["state"]
     assert np.array_equal(first, again)
-    assert np.array_equal(a, run(env, actions(8)))
+    assert np.array_equal(a, run(env, actions(env, 8)))
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -78,15 +82,15 @@ def test_perturbation_does_not_outlive_its_episode():
 def test_snapshot_continues_bit_for_bit_in_another_environment(envs, name):
     env, other = envs[name], registry.make(name, image=False)
     env.reset(seed=7)
-    run(env, actions(5))
+    run(env, actions(env, 5))
     snapshot = env.snapshot()
-    ahead = run(env, actions(10, seed=2))
+    ahead = run(env, actions(env, 10, seed=2))
     other.reset(seed=99)
     other.restore(snapshot)
     assert other.steps == 5
-    assert np.array_equal(ahead, run(other, actions(10, seed=2)))
+    assert np.array_equal(ahead, run(other, actions(env, 10, seed=2)))
     env.restore(snapshot)
-    assert np.array_equal(ahead, run(env, actions(10, seed=2)))
+    assert np.array_equal(ahead, run(env, actions(env, 10, seed=2)))
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -95,9 +99,9 @@ def test_proprio_knows_neither_object_nor_goal(envs, name):
     env = envs[name]
     a, b = env.reset(seed=1)[0], env.reset(seed=2)[0]
     assert not np.array_equal(a["state"], b["state"])
-    hand = env.data.qpos[env._hand_qpos].copy()
+    hand, controls = env.data.qpos[env._hand_qpos].copy(), env.data.ctrl.copy()
     env.reset(seed=1)
-    env.data.qpos[env._hand_qpos] = hand
+    env.data.qpos[env._hand_qpos], env.data.ctrl[:] = hand, controls
     import mujoco
 
     mujoco.mj_forward(env.model, env.data)
@@ -111,11 +115,11 @@ def test_time_limit_truncates_and_can_be_ignored(envs, name):
     env = envs[name]
     env.reset(seed=0)
     env.steps = env.task.horizon - 1
-    _, _, terminated, truncated, _ = env.step(np.zeros(39))
+    _, _, terminated, truncated, _ = env.step(idle(env))
     assert truncated != terminated
     env.reset(seed=0)
     env.ignore_time_limit, env.steps = True, env.task.horizon - 1
-    assert env.step(np.zeros(39))[3] is False
+    assert env.step(idle(env))[3] is False
     env.ignore_time_limit = False
 
 
@@ -123,14 +127,14 @@ def test_time_limit_truncates_and_can_be_ignored(envs, name):
 def test_reward_is_the_weighted_sum_of_its_terms(envs, name):
     env = envs[name]
     env.reset(seed=0)
-    _, reward, _, _, info = env.step(actions(1)[0])
+    _, reward, _, _, info = env.step(actions(env, 1)[0])
     assert reward == pytest.approx(sum(env.reward_weights[k] * v for k, v in info["reward_terms"].items()), rel=1e-6)
 
 
 def test_reward_weights_change_the_reward_and_unknown_terms_are_named():
     plain, heavy = registry.make("myo/reach", image=False), registry.make("myo/reach", image=False, reward_weights={"reach": 20})
     plain.reset(seed=0), heavy.reset(seed=0)
-    a, b = plain.step(np.zeros(39)), heavy.step(np.zeros(39))
+    a, b = plain.step(idle(plain)), heavy.step(idle(heavy))
     assert b[1] - a[1] == pytest.approx(19 * a[4]["reward_terms"]["reach"], rel=1e-6)
     with pytest.raises(ValueError, match="raech.*bonus.*penalty.*reach"):
         registry.make("myo/reach", image=False, reward_weights={"raech": 1})
@@ -149,7 +153,7 @@ def test_success_is_counted_three_ways():
 
 def test_lockstep_equals_one_after_the_other(envs):
     lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image=False)
-    moves = actions(60)
+    moves = actions(lock.envs[0], 60)
     lock.reset([1, 2, 3])
     for move in moves:
         if not lock.active.any():
