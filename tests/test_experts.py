@@ -75,9 +75,11 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch, algorith
 def test_replay_sums_n_rewards_bootstraps_past_time_limits_and_stops_at_terminations(tmp_path):
     """Two episodes of rewards 1, 2, 3 with n = 2 and gamma = 0.5: the first ends at a time limit, the second terminates."""
     replay = Replay(tmp_path, 6, 1, 1, n_step=2, gamma=0.5, envs=1)
+    state = np.zeros(1)  # one array for all steps, as environments in lockstep have
     for terminated in (False, True):
         for t in range(3):
-            replay.add(0, np.array([t]), np.zeros(1), t + 1, np.array([t + 1]), terminated and t == 2, t == 2)
+            state[:] = t
+            replay.add(0, state, np.zeros(1), t + 1, np.array([t + 1]), terminated and t == 2, t == 2)
     rows = {name: array[: replay.count].ravel().tolist() for name, array in replay._arrays.items()}
     assert rows["state"] == [0, 1, 2] * 2 and rows["next_state"] == [2, 3, 3] * 2
     assert rows["reward"] == [1 + 0.5 * 2, 2 + 0.5 * 3, 3] * 2

@@ -30,7 +30,7 @@ class Replay:
     def add(self, env: int, state: np.ndarray, action: np.ndarray, reward: float, next_state: np.ndarray, terminated: bool, ended: bool) -> None:
         """One step of environment number `env`; `ended` closes its episode."""
         steps = self._open[env]
-        steps.append((state, action, float(reward)))
+        steps.append((state.copy(), action.copy(), float(reward)))  # callers reuse their arrays
         if ended:
             while steps:
                 self._write(steps, next_state, terminated)
