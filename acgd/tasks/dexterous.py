@@ -13,6 +13,7 @@ import numpy as np
 
 from acgd.config.task import TaskConfig
 from acgd.tasks import spray
+from acgd.tasks.bottle import Bottle
 from acgd.tasks.scene import Scene
 from acgd.tasks.scissors import Scissors
 from acgd.tasks.snapshot import STATE, Snapshot
@@ -24,6 +25,7 @@ from acgd.tasks.weights import merge_weights
 SCENES: dict[str, Callable[[], Scene]] = {
     "spray-1": lambda: spray.SprayScene("spray-1"),
     "spray-2": lambda: spray.SprayScene("spray-2"),
+    "bottle": Bottle,
     "scissors": Scissors,
     "switch": Switch,
 }

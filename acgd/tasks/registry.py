@@ -9,6 +9,7 @@ _PEN = ("obj_pos", "obj_rot", "obj_des_rot")
 _POSE = ("target_tips",)
 _REACH = ("target_pos",)
 _SPRAY = ("bottle_pos", "bottle_rot", "trigger")
+_BOTTLE = ("bottle_pos",)
 _SCISSORS = ("scissors_pos", "scissors_rot")
 _SWITCH = ("handle", "rocker")
 
@@ -33,6 +34,8 @@ _SPECS = (
              "all five targets move together by up to 1.5 cm an axis: they are in the image"),
     TaskSpec("myo/reach-hard", "myo", "reach", "myoHandReachRandom-v0", 100, _REACH,
              "each target varies on its own: they are in the image"),
+    TaskSpec("bidex/bottle", "bidex", "bottle", None, 125, _BOTTLE,
+             "fixed: the cap off; how the bottle lies in the hand is in the image"),
     TaskSpec("bidex/scissors", "bidex", "scissors", None, 125, _SCISSORS,
              "fixed: the scissors open; where they lie is in the image"),
     TaskSpec("bidex/switch", "bidex", "switch", None, 125, _SWITCH,

@@ -1,0 +1,150 @@
+"""BiDex Bottle: a bottle in the left hand, whose cap the right hand pulls off."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from acgd.tasks import shadow
+from acgd.tasks.scene import NEAR, Touch, closeness, compiled
+
+PLACE, PITCH = (0.0, -0.6, 0.5), -0.7
+"""Of the bottle, metres and radians: the middle of its wide part, where it is held, and its cap pointing to +x and upwards."""
+AXIS = np.array([np.cos(PITCH), 0.0, -np.sin(PITCH)])
+"""From the bottom to the cap, in the world."""
+BACK = np.array([AXIS[2], 0.0, -AXIS[0]])
+"""Out of the back of either hand, in the world: palms are parallel to the bottle and look up."""
+BODY, RADIUS = 0.175, 0.038
+NECK, NECK_RADIUS = 0.09, 0.010
+CAP, CAP_RADIUS = 0.010, 0.013
+"""Lengths and radii of the wide part, the neck and the cap, metres."""
+CAP_PLACE = BODY / 2.0 + NECK + CAP / 2.0
+"""Along the axis, metres."""
+TRAVEL, OFF = 0.064, 0.028
+"""How far the cap slides, and from where on it is off, metres."""
+TILT = 0.3
+"""How much lower than the wrist the left hand's fingers are, radians: the bottle lies in their hook."""
+IN_LEFT = (-0.018, -0.0495, 0.070)
+IN_RIGHT = (0.05, -0.026, 0.125)
+"""Where the bottle's middle is in the left palm, and the cap in the right one when the fingers close around the neck."""
+FAR_RIGHT = (0.06, -0.06)
+"""Where the right hand starts from there: behind the bottle, and back along its fingers, metres."""
+ALONG_NOISE = 0.015
+"""By how much a perturbed start moves the bottle along its axis in the left hand, uniform, metres."""
+FINGERS = ("FF", "MF", "RF", "LF")
+HOLDING = {f"{finger}{joint}": angle for finger in FINGERS for joint, angle in (("J2", 0.78), ("J1", 0.70))}
+HOLDING |= {"THJ4": 0.6, "THJ3": 0.05, "THJ1": -0.3, "THJ0": -0.3}
+"""The left hand's fingers and thumb around the bottle, which they hold as they are."""
+NEAR_RIGHT = {f"{finger}{joint}": 0.3 for finger in FINGERS for joint in ("J2", "J1")}
+APPROACH = 0.3
+"""How far of the way from the far start to the neck the near one is."""
+
+
+class Bottle:
+    """The hands and the bottle. Without noise the right one is 8 cm from the cap."""
+
+    weights = {"reach": 0.5, "held": 0.5, "travel": 3.0, "original": 0.0}
+    hold_steps = 1
+
+    def __init__(self) -> None:
+        self.model = model = compiled(_build())
+        self.hands = shadow.Hands(model)
+        self.robot = self.hands.robot
+        self._bottle, self._cap = model.body("bottle").id, model.body("cap").id
+        free, slide, twist = model.joint("bottle"), model.joint("cap"), model.joint("twist")
+        self._place, self._velocity = int(free.qposadr[0]), int(free.dofadr[0])
+        self._travel = int(slide.qposadr[0])
+        self._cap_speed = [int(slide.dofadr[0]), int(twist.dofadr[0])]
+        cap = np.arange(model.ngeom) == model.geom("cap").id
+        self._touch = Touch((self.hands.geoms["right"], cap))
+
+    def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
+        right = {}
+        if rng is not None:
+            if rng.random() < NEAR:
+                right = NEAR_RIGHT | dict(zip("xyz", APPROACH * _to_neck()))
+            data.qpos[self._place : self._place + 3] += rng.uniform(-ALONG_NOISE, ALONG_NOISE) * AXIS
+        self.hands.start(data, right, HOLDING, rng)
+        base = self.robot.qpos[len(shadow.JOINTS) :][:3]
+        data.qpos[self._place : self._place + 3] += data.qpos[base]  # goes with the left hand
+
+    def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
+        rotation = data.xmat[self._bottle].reshape(3, 3)
+        bottle, cap = data.xpos[self._bottle], data.xpos[self._cap]
+        palms, tips = self.hands.palms(data), self.hands.tips(data)
+        return {
+            "bottle_pos": bottle,
+            "bottle_rot": rotation[:, 0],
+            "bottle_vel": data.qvel[self._velocity : self._velocity + 6],
+            "cap": data.qpos[[self._travel]] / TRAVEL,
+            "cap_speed": data.qvel[self._cap_speed],
+            "tips_to_cap": (cap - tips[0]).ravel(),
+            "tips_to_bottle": (bottle - tips[1]).ravel(),
+            "palms_to_bottle": (bottle - palms).ravel(),
+            "touch": self._touch(data).astype(float),
+        }
+
+    def terms(self, data: mujoco.MjData) -> dict[str, float]:
+        """`original` is Bi-DexHands' reward."""
+        bottle, cap = data.xpos[self._bottle], data.xpos[self._cap]
+        far = np.linalg.norm(cap - self.hands.tips(data)[0], axis=1)
+        palm = float(np.linalg.norm(self.hands.palms(data)[1] - bottle))
+        travel = float(data.qpos[self._travel])
+        return {
+            "reach": closeness(far[:4].mean()),
+            "held": closeness(palm),
+            "travel": float(np.clip(travel / 0.03, 0.0, 1.0) * self._touch(data)[0]),
+            "original": float(2.0 - far.sum() - palm + 30.0 * travel * (far.sum() <= 0.3)),
+        }
+
+    def met(self, data: mujoco.MjData) -> bool:
+        return bool(data.qpos[self._travel] >= OFF)
+
+    def failed(self, data: mujoco.MjData) -> bool:
+        """Whether the bottle is dropped or left alone."""
+        cap, palms = data.xpos[self._cap], self.hands.palms(data)
+        right, left = np.linalg.norm(palms[0] - cap), np.linalg.norm(palms[1] - data.xpos[self._bottle])
+        return bool(cap[2] < 0.5 or right > 0.5 or left > 0.2)
+
+
+def _in_world(point: tuple[float, float, float], hand: shadow.HandPlace) -> np.ndarray:
+    """A vector (3,) of a palm's frame in the world."""
+    turned = np.empty(3)
+    mujoco.mju_rotVecQuat(turned, np.array(point), hand.quat())
+    return turned
+
+
+def _to_neck() -> np.ndarray:
+    """From the right hand's start to where its fingers close around the neck."""
+    behind, back = FAR_RIGHT
+    return -behind * BACK + back * np.array([0.0, -1.0, 0.0])
+
+
+def _build() -> mujoco.MjSpec:
+    spec = shadow.new_spec()
+    quat = (np.cos(PITCH / 2.0), 0.0, np.sin(PITCH / 2.0), 0.0)
+    bottle = spec.worldbody.add_body(name="bottle", pos=PLACE, quat=quat)
+    bottle.add_freejoint(name="bottle")
+    capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    look = {"rgba": (0.15, 0.5, 0.3, 1), **shadow.OBJECT}
+    inside = BODY / 2.0 - RADIUS
+    bottle.add_geom(type=capsule, fromto=(-inside, 0, 0, inside, 0, 0), size=(RADIUS, 0, 0), mass=0.15, **look)
+    bottle.add_geom(type=capsule, fromto=(inside, 0, 0, BODY / 2.0 + NECK, 0, 0), size=(NECK_RADIUS, 0, 0), mass=0.02, **look)
+    cap = bottle.add_body(name="cap", pos=(CAP_PLACE, 0, 0))
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    cap.add_joint(name="cap", type=slide, axis=(1, 0, 0), limited=True, range=(0, TRAVEL), damping=1.0, frictionloss=2.0, armature=0.01)
+    cap.add_joint(name="twist", type=hinge, axis=(1, 0, 0), damping=1e-3, armature=1e-4)
+    top = np.array([-CAP / 2.0, 0, 0, CAP / 2.0, 0, 0])
+    cap.add_geom(name="cap", type=cylinder, fromto=top, size=(CAP_RADIUS, 0, 0), mass=0.01, rgba=(0.95, 0.6, 0.1, 1), **shadow.OBJECT)
+    shadow.add_hands(spec, *_hand_places())
+    return spec
+
+
+def _hand_places() -> tuple[shadow.HandPlace, shadow.HandPlace]:
+    """The right hand behind the neck, the left one under the bottle."""
+    ahead = np.array([0.0, 1.0, 0.0])
+    right = shadow.HandPlace((0, 0, 0), tuple(ahead), tuple(BACK))
+    down, level = np.sin(TILT), np.cos(TILT)
+    left = shadow.HandPlace((0, 0, 0), tuple(down * BACK - level * ahead), tuple(level * BACK + down * ahead))
+    at_neck = PLACE + CAP_PLACE * AXIS - _in_world(IN_RIGHT, right)
+    return replace(right, palm=tuple(at_neck - _to_neck())), replace(left, palm=tuple(PLACE - _in_world(IN_LEFT, left)))
