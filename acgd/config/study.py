@@ -84,6 +84,12 @@ class Settings(Section):
         for name in tasks:
             if name not in TASKS:
                 raise ValueError(f"{name!r} is no task. Nearest: {nearest(name, TASKS) or next(iter(TASKS))}. Known: {', '.join(TASKS)}.")
+        first = TASKS[tasks[0]].suite
+        if other := [name for name in tasks if TASKS[name].suite != first]:
+            raise ValueError(
+                f"{tasks[0]} and {other[0]} have different robots, and a student has one: its actions and proprioception are those of one suite. "
+                "Write a study for each suite."
+            )
         return _distinct(tasks)
 
     @field_validator("seeds")
@@ -177,14 +183,20 @@ def load_study(content: Mapping[str, Any]) -> Study:
 
 
 def _faults(settings: Settings) -> Iterator[str]:
-    """Files that the settings name and that are not there."""
+    """Files that the settings name and that are not there; muscles that a robot does not have."""
+    from acgd.tasks.registry import TASKS
+
+    if TASKS[settings.tasks[0]].suite != "myo":
+        spaces = {"codebook": {settings.codebook.action_space}}
+        spaces["critic"] = {each.critic.action_space for each in settings.each_task}
+        spaces["expert.sac"] = {each.expert.sac.action_space for each in settings.each_task}
+        for section in sorted(name for name, found in spaces.items() if "excitation" in found):
+            yield f"{section}.action_space: {settings.tasks[0]} is moved by motors, and excitation is of muscles. Set it to raw."
     for place, path in _paths(settings):
         if not path.exists():
             yield f"{dotted(place)}: {path} does not exist. Give the path of a file that does; it counts from the folder of config.yaml."
     lacking = [each.task.name for each in settings.each_task if each.expert.source == "zoo" and zoo.missing(each.task.name)]
     if lacking:
-        from acgd.tasks.registry import TASKS
-
         stocked = [name for name in TASKS if not zoo.missing(name)]
         yield (
             f"expert.source: zoo/ has no expert for {', '.join(lacking)} ({zoo.folder(lacking[0])} lacks {', '.join(zoo.missing(lacking[0]))}). "
