@@ -44,9 +44,12 @@ class Expert(nn.Module):
 
     def gaussian(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log standard deviation, each (B, A), before actions are brought into the box."""
+        return self.network(((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP))
+
+    def network(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
+        """`gaussian` for states that are normalised already."""
         activation = torch.relu if self.squashed else torch.tanh
-        x = ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
-        x = activation(self.hidden2(activation(self.hidden1(x))))
+        x = activation(self.hidden2(activation(self.hidden1(normal_state))))
         mean = self.action(x)
         if not self.squashed:
             return mean, self.log_std.expand_as(mean)

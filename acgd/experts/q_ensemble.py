@@ -71,10 +71,14 @@ class Critic(nn.Module):
 
     def standard(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) -> (M, B), before `shift` and `scale`: what the fit regresses."""
-        x = torch.cat([self.normalise(state), measured(action, self.shape["action_space"])], -1).expand(self.members, -1, -1)
+        return self.network(self.normalise(state), action)
+
+    def network(self, normal_state: Tensor, action: Tensor) -> Tensor:
+        """`standard` for states that are normalised already."""
+        x = torch.cat([normal_state, measured(action, self.shape["action_space"])], -1).expand(self.members, -1, -1)
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
-            x = F.silu(torch.addcmul(offset, normal, gain))
+            x = F.silu(torch.addcmul(offset.to(normal.dtype), normal, gain.to(normal.dtype)))
         with torch.autocast(x.device.type, enabled=False):  # returns need more digits than bf16 has
             return torch.baddbmm(self.biases[-1], x.float(), self.weights[-1]).squeeze(-1)
 

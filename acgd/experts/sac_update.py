@@ -17,6 +17,8 @@ from acgd.experts.q_ensemble import Critic
 
 FIRST_STD = 0.5
 """Of the first policy."""
+FIRST_Q = 0.1
+"""Scale of the critics' last layer at first: at 1 their noise leads the policy astray before they have learned anything."""
 
 
 class SACUpdate:
@@ -31,6 +33,8 @@ class SACUpdate:
         self.actor = Expert(state_dim, action_dim, sac.width, squashed=True).requires_grad_(True)
         _initialise(self.actor, generator)
         self.critic = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space, generator)
+        with torch.no_grad():
+            self.critic.weights[-1].mul_(FIRST_Q)
         self.target = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space)
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
@@ -55,17 +59,18 @@ class SACUpdate:
     def update(self, batch: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]) -> None:
         """One step of the critics, every `actor_every` also one of policy and temperature, and one of the targets."""
         state, action, reward, next_state, discount = batch
+        state, next_state = self.critic.normalise(state), self.critic.normalise(next_state)
         temperature = self.log_temperature.detach().exp()
         with torch.autocast("cpu", torch.bfloat16, enabled=self.sac.precision == "bfloat16"):
             with torch.no_grad():
                 next_action, log_prob = self.sample(next_state)
-                value = self.target.standard(next_state, next_action).amin(0) - temperature * log_prob
+                value = self.target.network(next_state, next_action).amin(0) - temperature * log_prob
                 y = reward / self.critic.scale + discount * value
-            critic_loss = F.mse_loss(self.critic.standard(state, action), y.expand(2, -1))
+            critic_loss = F.mse_loss(self.critic.network(state, action), y.expand(2, -1))
             self._descend("critic", critic_loss)
             if self.step % self.sac.actor_every == 0:
                 new_action, log_prob = self.sample(state)
-                actor_loss = (temperature * log_prob - self.critic.standard(state, new_action).amin(0)).mean()
+                actor_loss = (temperature * log_prob - self.critic.network(state, new_action).amin(0)).mean()
                 self._descend("actor", actor_loss)
                 entropy = -log_prob.detach().mean()
                 self._descend("temperature", self.log_temperature * (entropy - self.sac.target_entropy * action.shape[1]))
@@ -73,9 +78,9 @@ class SACUpdate:
             torch._foreach_lerp_(list(self.target.parameters()), list(self.critic.parameters()), self.sac.tau)
         self.step += 1
 
-    def sample(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Action (B, A) of the policy and its log density (B,)."""
-        mean, log_std = (value.float() for value in self.actor.gaussian(state))
+    def sample(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Action (B, A) of the policy and its log density (B,), for normalised states (B, S)."""
+        mean, log_std = (value.float() for value in self.actor.network(normal_state))
         noise = torch.randn(mean.shape, generator=self.generator)
         before = mean + log_std.exp() * noise
         gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)

@@ -1,0 +1,117 @@
+"""Training experts in one thread: SAC's updates beside stable-baselines3's at equal sizes, and where a step's time goes:
+`python -m benchmarks.experts`."""
+
+import statistics
+import time
+import warnings
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import torch
+
+from acgd.config.expert import SACConfig
+from acgd.config.task import TaskConfig
+from acgd.experts.sac_update import SACUpdate
+from acgd.experts.training_env import StateOnly
+from benchmarks.row import Row
+
+STATE_DIM, ACTION_DIM = 115, 39
+"""Those of myo/reach."""
+ROUNDS, UPDATES = 9, 10
+"""The median round counts; the two take turns, so that other work on the machine slows both."""
+TASK = "myo/obj-hold"
+STEPS = 400
+LEAST_RATIO = 2.0
+
+
+def run() -> list[Row]:
+    """Updates per second of the default settings, with the same sizes in stable-baselines3 as the reference of the ratio;
+    then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the reference."""
+    torch.set_num_threads(1)
+    ours = {
+        "SAC, default": SACConfig(),
+        "SAC, a policy update with every critic update": SACConfig(actor_every=1),
+        "SAC, float32": SACConfig(precision="float32"),
+    }
+    work = {name: _ours(sac) for name, sac in ours.items()} | {"stock": _stock(SACConfig())}
+    rates = {name: 1 / seconds for name, seconds in _alternating(work).items()}
+    rows = [
+        Row(name=f"experts/{name}", value=rates[name], unit="updates/s", ratio=rates[name] / rates["stock"],
+            target=f">= {LEAST_RATIO:g} x stable-baselines3's" if name == "SAC, default" else "",
+            met=rates[name] >= LEAST_RATIO * rates["stock"] if name == "SAC, default" else None)
+        for name in ours
+    ]  # fmt: skip
+    rows.append(Row(name="experts/stable-baselines3's SAC", value=rates["stock"], unit="updates/s", ratio=None, target="", met=None))
+    return [*rows, *_steps(SACConfig(), rates["SAC, default"])]
+
+
+def _ours(sac: SACConfig) -> Callable[[], None]:
+    learner = SACUpdate(STATE_DIM, ACTION_DIM, sac, torch.Generator().manual_seed(0))
+    g = torch.Generator().manual_seed(1)
+    n = sac.batch
+    batch = (torch.randn(n, STATE_DIM, generator=g), torch.rand(n, ACTION_DIM, generator=g) * 2 - 1, torch.randn(n, generator=g),
+             torch.randn(n, STATE_DIM, generator=g), torch.full((n,), sac.gamma))  # fmt: skip
+    return lambda: [learner.update(batch) for _ in range(UPDATES)]
+
+
+class _Nothing(gymnasium.Env):
+    """Spaces of the same sizes; it is not stepped."""
+
+    observation_space = gymnasium.spaces.Box(-10, 10, (STATE_DIM,), np.float32)
+    action_space = gymnasium.spaces.Box(-1, 1, (ACTION_DIM,), np.float32)
+
+
+def _stock(sac: SACConfig) -> Callable[[], None]:
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.logger import configure
+
+    model = SAC("MlpPolicy", _Nothing(), buffer_size=1000, device="cpu", policy_kwargs={"net_arch": [sac.width, sac.width]})
+    model.set_logger(configure(None, []))
+    rng = np.random.default_rng(0)
+    for _ in range(1000):
+        model.replay_buffer.add(rng.normal(size=STATE_DIM), rng.normal(size=STATE_DIM), rng.uniform(-1, 1, ACTION_DIM), np.zeros(1), np.zeros(1), [{}])
+    return lambda: model.train(UPDATES, sac.batch)
+
+
+def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
+    """Processor seconds an update, the median over rounds."""
+    seconds: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(ROUNDS):
+        for name, do in work.items():
+            started = time.process_time()
+            do()
+            seconds[name].append((time.process_time() - started) / UPDATES)
+    return {name: statistics.median(found[1:]) for name, found in seconds.items()}
+
+
+def _steps(sac: SACConfig, updates_per_second: float) -> list[Row]:
+    """Of one environment: its own step, the physics in it, and a step of training with its share of updates."""
+    env = StateOnly(TaskConfig(name=TASK), {}, 0)
+    env.reset()
+    base, rng = env.unwrapped.base, np.random.default_rng(0)
+    import mujoco
+
+    started = time.process_time()
+    for _ in range(STEPS):
+        _, _, terminated, truncated, _ = env.step(rng.uniform(-1, 1, ACTION_DIM))
+        if terminated or truncated:
+            env.reset()
+    step = (time.process_time() - started) / STEPS
+    env.reset()
+    started = time.process_time()
+    for _ in range(STEPS):
+        base.data.ctrl[:] = 1 / (1 + np.exp(-5 * (rng.uniform(-1, 1, ACTION_DIM) - 0.5)))
+        mujoco.mj_step(base.model, base.data, base.frame_skip)
+    physics = (time.process_time() - started) / STEPS
+    whole = step + sac.updates_per_step / updates_per_second
+    return [
+        Row(name=f"experts/{TASK}: environment", value=1 / step, unit="steps/s", ratio=physics / step, target="(ratio: physics' share)", met=None),
+        Row(name=f"experts/{TASK}: SAC, all in all", value=1 / whole, unit="steps/s", ratio=physics / whole, target="(ratio: physics' share)", met=None),
+    ]
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    for row in run():
+        print(row)
