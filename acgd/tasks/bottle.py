@@ -10,6 +10,7 @@ from acgd.tasks.scene import NEAR, Touch, closeness, compiled
 
 PLACE, PITCH = (0.0, -0.6, 0.5), -0.7
 """Of the bottle, metres and radians: the middle of its wide part, where it is held, and its cap pointing to +x and upwards."""
+QUAT = (np.cos(PITCH / 2.0), 0.0, np.sin(PITCH / 2.0), 0.0)
 AXIS = np.array([np.cos(PITCH), 0.0, -np.sin(PITCH)])
 """From the bottom to the cap, in the world."""
 BACK = np.array([AXIS[2], 0.0, -AXIS[0]])
@@ -27,15 +28,14 @@ TILT = 0.3
 IN_LEFT = (-0.018, -0.0495, 0.070)
 IN_RIGHT = (0.05, -0.026, 0.125)
 """Where the bottle's middle is in the left palm, and the cap in the right one when the fingers close around the neck."""
-FAR_RIGHT = (0.06, -0.06)
-"""Where the right hand starts from there: behind the bottle, and back along its fingers, metres."""
-ALONG_NOISE = 0.015
-"""By how much a perturbed start moves the bottle along its axis in the left hand, uniform, metres."""
+FAR_RIGHT = (0.02, 0.075, -0.06)
+"""Where the right hand starts from there: along the bottle's axis, behind it, and along the fingers, metres."""
+ALONG_NOISE = 0.025
+"""How much farther out of the left hand a perturbed start may have the bottle, metres."""
 FINGERS = ("FF", "MF", "RF", "LF")
 HOLDING = {f"{finger}{joint}": angle for finger in FINGERS for joint, angle in (("J2", 0.78), ("J1", 0.70))}
 HOLDING |= {"THJ4": 0.6, "THJ3": 0.05, "THJ1": -0.3, "THJ0": -0.3}
 """The left hand's fingers and thumb around the bottle, which they hold as they are."""
-NEAR_RIGHT = {f"{finger}{joint}": 0.3 for finger in FINGERS for joint in ("J2", "J1")}
 APPROACH = 0.3
 """How far of the way from the far start to the neck the near one is."""
 
@@ -55,18 +55,23 @@ class Bottle:
         self._place, self._velocity = int(free.qposadr[0]), int(free.dofadr[0])
         self._travel = int(slide.qposadr[0])
         self._cap_speed = [int(slide.dofadr[0]), int(twist.dofadr[0])]
+        self._left = model.body("left/robot0:palm").id
+        self._in_left = np.empty(4)
+        mujoco.mju_negQuat(self._in_left, _hand_places()[1].quat())
+        mujoco.mju_mulQuat(self._in_left, self._in_left, np.array(QUAT))
         cap = np.arange(model.ngeom) == model.geom("cap").id
         self._touch = Touch((self.hands.geoms["right"], cap))
 
     def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
-        right = {}
+        right, along = {}, 0.0
         if rng is not None:
-            if rng.random() < NEAR:
-                right = NEAR_RIGHT | dict(zip("xyz", APPROACH * _to_neck()))
-            data.qpos[self._place : self._place + 3] += rng.uniform(-ALONG_NOISE, ALONG_NOISE) * AXIS
-        self.hands.start(data, right, HOLDING, rng)
-        base = self.robot.qpos[len(shadow.JOINTS) :][:3]
-        data.qpos[self._place : self._place + 3] += data.qpos[base]  # goes with the left hand
+            right = dict(zip("xyz", APPROACH * _to_neck())) if rng.random() < NEAR else {}
+            along = rng.uniform(0.0, ALONG_NOISE)
+        self.hands.start(data, right, HOLDING, rng, holding="left")
+        x, y, z = IN_LEFT
+        data.qpos[self._place : self._place + 3] = self.hands.in_palm(data, "left", (x - along, y, z))
+        quat = data.qpos[self._place + 3 : self._place + 7]
+        mujoco.mju_mulQuat(quat, data.xquat[self._left], self._in_left)
 
     def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
         rotation = data.xmat[self._bottle].reshape(3, 3)
@@ -116,14 +121,12 @@ def _in_world(point: tuple[float, float, float], hand: shadow.HandPlace) -> np.n
 
 def _to_neck() -> np.ndarray:
     """From the right hand's start to where its fingers close around the neck."""
-    behind, back = FAR_RIGHT
-    return -behind * BACK + back * np.array([0.0, -1.0, 0.0])
+    return -np.stack([AXIS, BACK, [0.0, 1.0, 0.0]], axis=1) @ FAR_RIGHT
 
 
 def _build() -> mujoco.MjSpec:
     spec = shadow.new_spec()
-    quat = (np.cos(PITCH / 2.0), 0.0, np.sin(PITCH / 2.0), 0.0)
-    bottle = spec.worldbody.add_body(name="bottle", pos=PLACE, quat=quat)
+    bottle = spec.worldbody.add_body(name="bottle", pos=PLACE, quat=QUAT)
     bottle.add_freejoint(name="bottle")
     capsule, cylinder = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
     look = {"rgba": (0.15, 0.5, 0.3, 1), **shadow.OBJECT}

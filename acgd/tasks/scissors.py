@@ -110,5 +110,8 @@ def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, c
     corners = [hinge + (x, sign * y, 0.0) for x, y in RING]
     near = (corners[0] + corners[1]) / 2.0
     for start, end in [(hinge, near), *zip(corners, corners[1:] + corners[:1])]:
-        body.add_geom(fromto=np.r_[start, end], size=(HALF, 0, 0), mass=0.02, **look)
+        along = end - start
+        half = np.arctan2(along[1], along[0]) / 2.0
+        size, quat = (np.linalg.norm(along) / 2.0 + HALF, HALF, HALF), (np.cos(half), 0, 0, np.sin(half))
+        body.add_geom(size=size, pos=(start + end) / 2.0, quat=quat, mass=0.02, **look)
     body.add_site(name=f"handle/{side}", pos=hinge + np.array(GRIP) * (1.0, sign, 1.0), group=5)

@@ -26,6 +26,7 @@ JOINTS = (
     "LFJ4", "LFJ3", "LFJ2", "LFJ1", "LFJ0", "THJ4", "THJ3", "THJ2", "THJ1", "THJ0",
 )  # fmt: skip
 """Order of a hand's 30 joints in `proprio`."""
+_SLIDES = [*range(3), *range(len(JOINTS), len(JOINTS) + 3)]
 COUPLED = [i for i, name in enumerate(JOINTS) if name.endswith("J0") and name[:2] not in ("WR", "TH")]
 """Indices of the outermost joints, which follow the one before them."""
 BASE_SLIDE, BASE_TURN, FINGER_TURN = 0.008, 0.03, 0.08
@@ -173,18 +174,34 @@ class Hands:
         """Fingertips (2, 5, 3) in the world, metres, in the order of SIDES and FINGERS."""
         return _points(data, self._tips, TIP).reshape(len(SIDES), len(FINGERS), 3)
 
+    def in_palm(self, data: mujoco.MjData, side: str, point: tuple[float, float, float]) -> np.ndarray:
+        """A point (3,) of a palm link's frame in the world, metres."""
+        palm = self._palms[SIDES.index(side)]
+        return _points(data, [palm], point)[0]
+
     def palms(self, data: mujoco.MjData) -> np.ndarray:
         """Middles of the palms (2, 3) in the world, metres."""
         return _points(data, self._palms, PALM)
 
-    def start(self, data: mujoco.MjData, right: dict[str, float], left: dict[str, float], rng: np.random.Generator | None) -> None:
-        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is `rng`."""
+    def start(
+        self,
+        data: mujoco.MjData,
+        right: dict[str, float],
+        left: dict[str, float],
+        rng: np.random.Generator | None,
+        holding: str | None = None,
+    ) -> None:
+        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is `rng`.
+
+        Of the hand that is `holding` something only the base gets noise. The kinematics are up to date afterwards.
+        """
         pose = np.array([joints.get(name, 0.0) for joints in (right, left) for name in JOINTS])
         if rng is not None:
-            pose += rng.uniform(-START_NOISE, START_NOISE, pose.size) * np.ptp(self._range, axis=0)
-            slides = np.concatenate([np.arange(3), np.arange(3) + len(JOINTS)])
-            pose[slides] = [joints.get(name, 0.0) for joints in (right, left) for name in BASE[:3]]
-            pose[slides] += rng.uniform(-START_SLIDE, START_SLIDE, slides.size)
+            spread = START_NOISE * np.ptp(self._range, axis=0)
+            spread[_SLIDES] = START_SLIDE
+            for side, fingers in zip(SIDES, np.split(spread, len(SIDES))):
+                fingers[len(BASE) :] *= side != holding
+            pose += rng.uniform(-spread, spread)
         pose = np.clip(pose, *self._range)
         for hand in np.split(pose, len(SIDES)):
             for last in COUPLED:
