@@ -78,9 +78,9 @@ class Critic(nn.Module):
         x = torch.cat([normal_state, measured(action, self.shape["action_space"])], -1).expand(self.members, -1, -1)
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
-            x = F.silu(torch.addcmul(offset.to(normal.dtype), normal, gain.to(normal.dtype)))
-        with torch.autocast(x.device.type, enabled=False):  # returns need more digits than bf16 has
-            return torch.baddbmm(self.biases[-1], x.float(), self.weights[-1]).squeeze(-1)
+            x = F.silu(torch.addcmul(offset, normal, gain))
+        # returns need more digits than bf16 has
+        return torch.baddbmm(self.biases[-1].float(), x.float(), self.weights[-1].float()).squeeze(-1)
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""

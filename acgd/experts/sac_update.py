@@ -1,10 +1,11 @@
 """One update of soft actor-critic, arranged for a CPU core.
 
 Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; Adam and
-the target's average are one fused call each; matrix products run in bfloat16 where the settings say so, weights,
-moments and returns stay in float32.
+the target's average are one fused call each; the networks run in bfloat16 where the settings say so, on copies of
+weights that stay in float32, as do moments, densities and returns.
 """
 
+import copy
 import math
 
 import torch
@@ -39,6 +40,9 @@ class SACUpdate:
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
         self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature)))
+        self._networks = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        if sac.precision == "bfloat16":
+            self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in self._networks.items()}
         self.weights = {"actor": list(self.actor.parameters()), "critic": list(self.critic.parameters()), "temperature": [self.log_temperature]}
         self.optimisers = {name: torch.optim.Adam(weights, sac.learning_rate, fused=True) for name, weights in self.weights.items()}
         self.step = 0
@@ -61,38 +65,48 @@ class SACUpdate:
         state, action, reward, next_state, discount = batch
         state, next_state = self.critic.normalise(state), self.critic.normalise(next_state)
         temperature = self.log_temperature.detach().exp()
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.sac.precision == "bfloat16"):
-            with torch.no_grad():
-                next_action, log_prob = self.sample(next_state)
-                value = self.target.network(next_state, next_action).amin(0) - temperature * log_prob
-                y = reward / self.critic.scale + discount * value
-            critic_loss = F.mse_loss(self.critic.network(state, action), y.expand(2, -1))
-            self._descend("critic", critic_loss)
-            if self.step % self.sac.actor_every == 0:
-                new_action, log_prob = self.sample(state)
-                actor_loss = (temperature * log_prob - self.critic.network(state, new_action).amin(0)).mean()
-                self._descend("actor", actor_loss)
-                entropy = -log_prob.detach().mean()
-                self._descend("temperature", self.log_temperature * (entropy - self.sac.target_entropy * action.shape[1]))
+        critic, target = self._networks["critic"], self._networks["target"]
+        if self.sac.precision == "bfloat16":
+            state, next_state, action = (value.bfloat16() for value in (state, next_state, action))
+        with torch.no_grad():
+            next_action, log_prob = self.sample(next_state)
+            value = target.network(next_state, next_action).amin(0) - temperature * log_prob
+            y = reward / self.critic.scale + discount * value
+        self._descend("critic", F.mse_loss(critic.network(state, action), y.expand(2, -1)))
+        if self.step % self.sac.actor_every == 0:
+            new_action, log_prob = self.sample(state)
+            self._descend("actor", (temperature * log_prob - critic.network(state, new_action).amin(0)).mean())
+            surplus = -log_prob.detach().mean() - self.sac.target_entropy * action.shape[1]
+            self.log_temperature.grad = surplus
+            self.optimisers["temperature"].step()
         with torch.no_grad():
             torch._foreach_lerp_(list(self.target.parameters()), list(self.critic.parameters()), self.sac.tau)
+        self._copy("target")
         self.step += 1
 
     def sample(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
-        """Action (B, A) of the policy and its log density (B,), for normalised states (B, S)."""
-        mean, log_std = (value.float() for value in self.actor.network(normal_state))
+        """Action (B, A) of the policy and its log density (B,), for normalised states (B, S) in the precision of the networks."""
+        mean, log_std = (value.float() for value in self._networks["actor"].network(normal_state))
         noise = torch.randn(mean.shape, generator=self.generator)
         before = mean + log_std.exp() * noise
         gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
         # log(1 - tanh(x)^2), without cancellation
         squash = 2 * (math.log(2) - before - F.softplus(-2 * before))
-        return torch.tanh(before), (gaussian - squash).sum(-1)
+        return torch.tanh(before).to(normal_state.dtype), (gaussian - squash).sum(-1)
 
     def _descend(self, name: str, loss: Tensor) -> None:
-        weights = self.weights[name]
-        for weight, gradient in zip(weights, torch.autograd.grad(loss, weights)):
-            weight.grad = gradient
+        weights = list(self._networks[name].parameters())
+        for weight, gradient in zip(self.weights[name], torch.autograd.grad(loss, weights)):
+            weight.grad = gradient.float()
         self.optimisers[name].step()
+        self._copy(name)
+
+    @torch.no_grad()
+    def _copy(self, name: str) -> None:
+        """Bring the weights of a network into the copy that runs in bfloat16."""
+        master, used = getattr(self, name), self._networks[name]
+        if used is not master:
+            torch._foreach_copy_(list(used.parameters()), list(master.parameters()))
 
     # -- checkpoint --------------------------------------------------------------------------------
 
@@ -119,6 +133,8 @@ class SACUpdate:
                 i, moment = key.split(".")
                 moments.setdefault(int(i), {})[moment] = value
             optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
+        for name in self._networks:
+            self._copy(name)
 
 
 def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
