@@ -1,5 +1,8 @@
 """Contracts of every task in the registry."""
 
+import json
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
@@ -180,3 +183,16 @@ def test_seed_ranges_are_disjoint_and_say_when_they_end():
 def test_unknown_task_names_the_nearest():
     with pytest.raises(ValidationError, match="myo/key-turn"):
         TaskConfig(name="myo/key-trun")
+
+
+def test_the_fixed_pose_can_be_held():
+    """No published policy solves MyoSuite 3's PoseFixed. It has a solution: from `qpos`, 0.57 rad from the target, one
+    constant `action` stays within the threshold of 0.7 rad to the time limit. Its muscle forces balance gravity and
+    passive joints there, found by bounded least squares."""
+    held = json.loads((Path(__file__).parent / "pose_held.json").read_text())
+    env = registry.make(TaskConfig(name="myo/pose", start="nominal"), image=False)
+    env.reset(seed=0)
+    action = np.array(held["action"], np.float32)
+    env.data.qpos[:], env.data.act[:] = held["qpos"], 1 / (1 + np.exp(-5 * (action - 0.5)))
+    solved = [env.step(action)[4]["solved"] for _ in range(env.task.horizon)]
+    assert all(solved)
