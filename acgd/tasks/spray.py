@@ -55,11 +55,11 @@ WRIST = np.array([(-0.20, 0.15), (-0.25, 0.10), (-0.10, 0.15), (-0.6, 0.6), (-0.
 """Range of the wrist, about the place where the neck is at GRASP."""
 OPEN = np.array([0, 0.0, 0.4, 0.3] * 3 + [1.2, 0.3, 0.1, 0.1])
 """Fingers of the near start, rad."""
-NEAR_WRIST = np.array([-0.02, -0.09, 0.0, 0, 0, 0])
+NEAR_WRIST = np.array([-0.05, -0.12, 0.0, 0, 0, 0])
 FAR_WRIST = np.array([-0.06, -0.22, 0.06, 0, 0, 0])
 WRIST_NOISE, JOINT_NOISE = 0.015, 0.05
 """Metres; share of a finger joint's range."""
-PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE = 0.02, 0.15, 0.05
+PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE = 0.05, 0.5, 0.05
 """Of the bottle: metres, rad, rad."""
 
 
