@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import torch
 
-from acgd.config.expert import SACConfig
+from acgd.config.expert import ExpertRequest, SACConfig
 from acgd.config.task import TaskConfig
 from acgd.experts.sac_update import SACUpdate
 from acgd.experts.training_env import StateOnly
@@ -87,7 +87,7 @@ def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
 
 def _steps(sac: SACConfig, updates_per_second: float) -> list[Row]:
     """Of one environment: its own step, the physics in it, and a step of training with its share of updates."""
-    env = StateOnly(TaskConfig(name=TASK), {}, 0)
+    env = StateOnly(ExpertRequest(task=TaskConfig(name=TASK)), 0)
     env.reset()
     base, rng = env.unwrapped.base, np.random.default_rng(0)
     import mujoco

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acgd.tasks import bottle
+from acgd.tasks.shadow import MOTORS
+
 
 @dataclass(frozen=True)
 class Posture:
@@ -18,6 +21,20 @@ def _allegro(wrist, index, middle, ring, thumb) -> np.ndarray:
     return np.array([*wrist, *index, *middle, *ring, *thumb])
 
 
+def _shadow(right: dict[str, float], left: dict[str, float]) -> np.ndarray:
+    """The named motors of both hands; the others at zero."""
+    return np.array([hand.get(name, 0.0) for hand in (right, left) for name in MOTORS])
+
+
+def _bend(angle: float, fingers: tuple[str, ...] = ("FF", "MF", "RF", "LF"), joints: tuple[str, ...] = ("J2",)) -> dict[str, float]:
+    return {finger + joint: angle for finger in fingers for joint in joints}
+
+
+_OVER = {"x": -0.036} | _bend(1.45)
+_PRESS = {"x": -0.055, "z": -0.1} | _bend(0.8)
+_NECK = {"x": -0.064, "y": 0.06, "z": 0.0445}
+_HOOK = _bend(1.4, ("FF", "MF"), ("J1", "J2"))
+
 SOLUTIONS: dict[str, tuple[Posture, ...]] = {
     "opdex/spray-1": (
         Posture(40, _allegro((-0.03, -0.03, 0.01, -0.12, -0.10, 0.04), (0.08, 0.07, 0.16, 0.16), (0.04, 0.04, 0.59, 0.53),
@@ -31,8 +48,20 @@ SOLUTIONS: dict[str, tuple[Posture, ...]] = {
         Posture(60, _allegro((-0.01, -0.01, -0.01, -0.09, 0.09, 0.17), (-0.19, 0.65, 1.42, 1.07), (0.08, 0.89, 1.28, 0.89),
                              (-0.07, 0.50, 0.88, 0.80), (1.38, 0.47, 0.82, 0.26)), 0.5),
     ),
+    "bidex/switch": (Posture(125, _shadow(_PRESS, _PRESS)),),
+    "bidex/scissors": (
+        Posture(20, _shadow(_OVER | {"y": -0.13}, _OVER | {"y": 0.13})),
+        Posture(20, _shadow(_OVER | {"y": -0.13, "z": -0.105}, _OVER | {"y": 0.13, "z": -0.105})),
+        Posture(85, _shadow(_OVER | {"y": -0.03, "z": -0.105}, _OVER | {"y": 0.03, "z": -0.105})),
+    ),
+    "bidex/bottle": (
+        Posture(20, _shadow(_NECK, bottle.HOLDING)),
+        Posture(15, _shadow(_NECK | _HOOK, bottle.HOLDING)),
+        Posture(90, _shadow(_NECK | _HOOK | {"x": -0.01, "z": 0.09}, bottle.HOLDING)),
+    ),
 }  # fmt: skip
-"""Found by the cross-entropy method, but for the order of things: beside the neck, then closed around it."""
+"""OpDex: found by the cross-entropy method, but for the order of things: beside the neck, then closed around it. BiDex: by hand.
+Fingers on the rockers and down; fingers over the handles, into them, and apart; behind the neck, hooked around it, and away with the cap."""
 
 
 def follow(env, postures: tuple[Posture, ...]) -> tuple[np.ndarray, dict]:

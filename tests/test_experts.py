@@ -166,7 +166,7 @@ def test_exported_expert_acts_like_the_trained_policy(tmp_path):
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    env = StateOnly(REQUEST.task, {}, 0)
+    env = StateOnly(REQUEST, 0)
     venv = VecNormalize(DummyVecEnv([lambda: env]))
     venv.reset()
     for _ in range(20):

@@ -65,6 +65,9 @@ class ExpertSettings(Section):
     reward_weights: dict[str, float] = Field(
         default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
     )
+    advanced_starts: float = Field(
+        default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal pose; pose tasks only."
+    )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
     evaluation_episodes: int = Field(default=20, ge=1, description="Validation episodes of a learning-curve point.")

@@ -27,7 +27,7 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
     settings, ppo = config.expert, config.expert.ppo
-    envs = [StateOnly(config.task, settings.reward_weights, i) for i in range(ppo.envs)]
+    envs = [StateOnly(config, i) for i in range(ppo.envs)]
     venv = VecNormalize(DummyVecEnv([lambda e=e: e for e in envs]), gamma=ppo.gamma, clip_obs=STATE_CLIP)
     rate = _LearningRate(ppo)
     model = PPO(

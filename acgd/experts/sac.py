@@ -31,7 +31,7 @@ def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     The best is chosen by (final success, return) on validation seeds, never on the card's; its critics lie beside it.
     """
     settings, sac = config.expert, config.expert.sac
-    envs = [StateOnly(config.task, settings.reward_weights, i) for i in range(sac.envs)]
+    envs = [StateOnly(config, i) for i in range(sac.envs)]
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
     learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed))
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)

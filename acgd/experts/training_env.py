@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 
-from acgd.config.task import TaskConfig
+from acgd.config.expert import ExpertRequest
 from acgd.tasks import registry
 from acgd.tasks.seeds import SEEDS
 
@@ -11,9 +11,10 @@ from acgd.tasks.seeds import SEEDS
 class StateOnly(gymnasium.ObservationWrapper):
     """The privileged state as the whole observation, and seeds from the training range."""
 
-    def __init__(self, task: TaskConfig, reward_weights: dict[str, float], stream: int) -> None:
-        super().__init__(registry.make(task, image=False, reward_weights=reward_weights))
+    def __init__(self, config: ExpertRequest, stream: int) -> None:
+        super().__init__(registry.make(config.task, image=False, reward_weights=config.expert.reward_weights))
         self.observation_space = self.env.observation_space["state"]
+        self._advanced = config.expert.advanced_starts
         self._rng = np.random.default_rng(stream)
 
     def reseed(self, entropy: list[int]) -> None:
@@ -21,9 +22,14 @@ class StateOnly(gymnasium.ObservationWrapper):
         self._rng = np.random.default_rng(entropy)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Ignores `seed`: the stream decides."""
+        """Ignores `seed` and `options`: the stream decides."""
         first, last = SEEDS.expert_training.start, SEEDS.expert_training.stop
-        obs, info = self.env.reset(seed=int(self._rng.integers(first, last)))
+        seed = int(self._rng.integers(first, last))
+        options = None
+        if self._advanced:  # both numbers are drawn in any case
+            chance, share = self._rng.random(2)
+            options = {"advance": share} if chance < self._advanced else None
+        obs, info = self.env.reset(seed=seed, options=options)
         return self.observation(obs), info
 
     def observation(self, observation: dict) -> np.ndarray:

@@ -28,7 +28,7 @@ TILT = 0.3
 IN_LEFT = (-0.018, -0.0495, 0.070)
 IN_RIGHT = (0.05, -0.026, 0.125)
 """Where the bottle's middle is in the left palm, and the cap in the right one when the fingers close around the neck."""
-FAR_RIGHT = (0.02, 0.075, -0.06)
+FAR_RIGHT = (0.03, 0.075, -0.06)
 """Where the right hand starts from there: along the bottle's axis, behind it, and along the fingers, metres."""
 ALONG_NOISE = 0.025
 """How much farther out of the left hand a perturbed start may have the bottle, metres."""

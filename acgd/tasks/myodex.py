@@ -108,7 +108,10 @@ class MyoDexTask(gymnasium.Env):
     # -- episode ---------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Start an episode; the same seed gives the same start, whatever came before."""
+        """Start an episode; the same seed gives the same start, whatever came before.
+
+        `options={"advance": x}` puts the hand x of the way from there to the goal, for training; pose tasks only.
+        """
         super().reset(seed=seed)
         if seed is None:
             seed = int(self.np_random.integers(2**31))
@@ -118,6 +121,8 @@ class MyoDexTask(gymnasium.Env):
         if self.config.start == "perturbed":
             rng = np.random.default_rng([seed, 1])
             starts.perturb(self.task.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
+        if options and options.get("advance"):
+            starts.advance(self.task, self.base, options["advance"])
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}

@@ -17,6 +17,8 @@ BLADE, WIDTH, HALF = 0.23, 0.012, 0.006
 """A blade's length, its half width, and half the thickness of all parts, metres."""
 RING = ((0.13, 0.012), (0.13, 0.134), (0.245, 0.134), (0.245, 0.012))
 """Corners of the right hand's handle from the hinge, metres; the left hand's is its mirror image."""
+FEET = ((-0.12, 0.0), RING[1], RING[2])
+"""Where a half slides on the table, from the hinge: there alone, as flat parts would make forty contacts."""
 GRIP = (0.1875, 0.073, 0.0)
 """The middle of that handle: where the fingers go."""
 PLACE_NOISE, YAW_NOISE = 0.04, 0.3
@@ -104,7 +106,7 @@ def _build() -> mujoco.MjSpec:
 def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, colour: tuple[float, ...]) -> None:
     """A blade and a handle from `hinge`, the handle on the side of `sign` times y."""
     box, hinge = mujoco.mjtGeom.mjGEOM_BOX, np.array(hinge)
-    look = {"type": box, "rgba": colour, **shadow.OBJECT}
+    look = {"type": box, "rgba": colour, "contype": 0, "conaffinity": 1}
     blade = hinge + (-BLADE / 2.0, 0.0, -sign * HALF / 2.0)  # one above the other
     body.add_geom(size=(BLADE / 2.0, WIDTH, HALF / 2.0), pos=blade, mass=0.05, **look)
     corners = [hinge + (x, sign * y, 0.0) for x, y in RING]
@@ -114,4 +116,7 @@ def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, c
         half = np.arctan2(along[1], along[0]) / 2.0
         size, quat = (np.linalg.norm(along) / 2.0 + HALF, HALF, HALF), (np.cos(half), 0, 0, np.sin(half))
         body.add_geom(size=size, pos=(start + end) / 2.0, quat=quat, mass=0.02, **look)
+    for x, y in FEET:
+        place = hinge + (x, sign * y, 0.0)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(HALF, 0, 0), pos=place, mass=0.001, rgba=colour, **shadow.OBJECT)
     body.add_site(name=f"handle/{side}", pos=hinge + np.array(GRIP) * (1.0, sign, 1.0), group=5)

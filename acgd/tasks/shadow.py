@@ -29,6 +29,8 @@ JOINTS = (
 _SLIDES = [*range(3), *range(len(JOINTS), len(JOINTS) + 3)]
 COUPLED = [i for i, name in enumerate(JOINTS) if name.endswith("J0") and name[:2] not in ("WR", "TH")]
 """Indices of the outermost joints, which follow the one before them."""
+MOTORS = tuple(name for i, name in enumerate(JOINTS) if i not in COUPLED)
+"""Order of a hand's 26 motors in actions."""
 BASE_SLIDE, BASE_TURN, FINGER_TURN = 0.008, 0.03, 0.08
 """By how much an action of 1 moves a target in a control step: metres, radians, part of the joint's range."""
 START_SLIDE, START_NOISE = 0.015, 0.05
@@ -39,7 +41,7 @@ TIP = (0.0, 0.0, 0.02)
 PALM = (0.0, -0.02, 0.08)
 """Where the middle of the palm is in its link, metres."""
 OBJECT = {"contype": 2, "conaffinity": 1}
-TABLE = {"contype": 1, "conaffinity": 3}
+TABLE = {"contype": 0, "conaffinity": 3}
 """What touches what: hands (contype 1, conaffinity 0) and objects touch the table and each other, but never their like."""
 _PALM_IN_MOUNT = (0.0, 0.01, 0.29)
 _SLIDE = {"kp": 1500.0, "kv": 80.0, "force": 150.0, "armature": 0.5}
