@@ -1,4 +1,4 @@
-"""Draws docs/images/tasks.png: every task as a student sees it. `python docs/images/tasks.py`"""
+"""Draws docs/images/tasks.png: every MyoDex task as a student sees it. `python docs/images/tasks.py`"""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ STEPS = 4
 """Control steps of a resting hand before the picture."""
 
 figure, axes = plt.subplots(2, 5, figsize=(10, 4.4))
-order = [name for name in registry.TASKS if not name.endswith("-hard")]
+order = [name for name, spec in registry.TASKS.items() if spec.suite == "myo" and not name.endswith("-hard")]
 for axis, name in zip(axes.flat, order + [f"{name}-hard" for name in order]):
     env = registry.make(name)
     env.reset(seed=SEED)
