@@ -6,9 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from acgd.config.rollouts import RolloutsConfig
 from acgd.config.task import TaskConfig
+from acgd.experts.policy import Expert
+from acgd.rollouts.episode import run_wave
 from acgd.tasks import allegro, registry, spray
 from acgd.tasks.dexterous import AFTERWARDS, SCENES, SMOOTHING, DexterousTask
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.snapshot import Snapshot
 from acgd.tasks.spray import BOTTLES, HOLD_STEPS, SprayScene
 from tests.open_loop import SOLUTIONS, follow
 
@@ -134,6 +139,17 @@ def test_actions_move_smoothed_targets(env):
     assert np.allclose(obs["state"][env.state_layout["moving"]], SMOOTHING * action)
     env.step(np.zeros(22))
     assert np.allclose(env.data.ctrl - start, SMOOTHING * (2 - SMOOTHING) * stride * action)
+
+
+def test_a_recorded_step_holds_all_that_was_observed():
+    """The simulator's state alone: targets, smoothed action and pictures come back with it."""
+    lock = Lockstep(TaskConfig(name="opdex/spray-2", image_size=32), 1, image=True)
+    size = lock.envs[0].observation_space["state"].shape[0]
+    episode = run_wave(Expert.random(size, 22), lock, [5], RolloutsConfig())[0]
+    for t in (0, 20, 60):
+        seen = lock.envs[0].restore(Snapshot(episode["integration"][t], {}))
+        for name in ("image", "proprio", "state"):
+            assert np.array_equal(seen[name], episode[name][t])
 
 
 def test_starts_are_near_or_far_within_their_ranges():
