@@ -181,6 +181,26 @@ def test_exported_expert_acts_like_the_trained_policy(tmp_path):
     assert np.array_equal(again.mean(raw), expert.mean(raw)) and again.meta == expert.meta
 
 
+def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_not_fit(tmp_path):
+    """Before its first update, the policy is the expert of the other task."""
+    wide = SMALL.model_copy(update={"width": 256})
+    request = ExpertRequest(task=TaskConfig(name="myo/reach-hard"), expert=REQUEST.expert.model_copy(update={"ppo": wide, "warm_start": "myo/reach"}))
+    first = Expert.load(train.ZOO / "myo-reach")
+    states = np.random.default_rng(0).normal(size=(4, first.hidden1.in_features)).astype(np.float32)
+    found = []
+    with pytest.MonkeyPatch.context() as patch, open(tmp_path / "log", "w") as log:
+        patch.setattr(ppo, "_load", lambda state, model, venv: found.append(ppo.export(model, venv, {}).mean(states)) or [])
+        patch.setattr(ppo, "Curve", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+        assert found[0] == pytest.approx(first.mean(states), abs=1e-5)
+        narrow = request.model_copy(update={"expert": request.expert.model_copy(update={"ppo": SMALL})})
+        with pytest.raises(ValueError, match="warm_start.*myo/reach.*width"):
+            ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+    with pytest.raises(ValueError, match="warm_start.*ppo"):
+        ExpertSettings(algorithm="sac", warm_start="myo/reach")
+
+
 def test_sampled_actions_stay_in_the_box_and_spread_around_the_mean():
     expert = Expert.random(5, 3, seed=1)
     state = np.zeros((4000, 5), np.float32)

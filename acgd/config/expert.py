@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from acgd.config.section import Section
 from acgd.config.task import TaskConfig
@@ -68,6 +68,9 @@ class ExpertSettings(Section):
     advanced_starts: float = Field(
         default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal pose; pose tasks only."
     )
+    warm_start: str = Field(
+        default="", description="Task whose expert in zoo/ the policy starts from, such as myo/reach for myo/reach-hard; PPO only. Empty: from nothing."
+    )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
     evaluation_episodes: int = Field(default=20, ge=1, description="Validation episodes of a learning-curve point.")
@@ -75,6 +78,12 @@ class ExpertSettings(Section):
     checkpoint_every: int = Field(
         default=20_000, ge=1, description="Steps between checkpoints.", json_schema_extra={"key": False}
     )
+
+    @model_validator(mode="after")
+    def _warm_start_is_for_ppo(self) -> "ExpertSettings":
+        if self.warm_start and self.algorithm != "ppo":
+            raise ValueError("expert.warm_start works with expert.algorithm ppo alone: leave it empty, or choose ppo")
+        return self
 
     @property
     def learner(self) -> PPOConfig | SACConfig:

@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from acgd.artifacts.atomic import replace_file
+from acgd.config import zoo
 from acgd.config.expert import ExpertRequest, PPOConfig
 from acgd.experts.curve import Curve
 from acgd.experts.policy import STATE_CLIP, Expert
@@ -36,6 +37,8 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
         gae_lambda=ppo.gae_lambda, clip_range=ppo.clip, ent_coef=ppo.entropy,
         policy_kwargs={"net_arch": [ppo.width, ppo.width], "log_std_init": float(np.log(ppo.initial_std))},
     )  # fmt: skip
+    if settings.warm_start:
+        _start_from(Expert.load(zoo.folder(settings.warm_start)), settings.warm_start, model, venv)
     curve = Curve(config, state, metrics, _load(state, model, venv))
     metrics.rewind(model.num_timesteps)
     meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": settings.reward_weights, "algorithm": "ppo"}
@@ -76,6 +79,28 @@ class _LearningRate:
     def __call__(self, _: float) -> float:
         left = max(0.0, 1.0 - self.step / self._ppo.steps)
         return self._ppo.learning_rate_end + (self._ppo.learning_rate - self._ppo.learning_rate_end) * left
+
+
+KNOWN_STATES = 100_000
+"""Weight of a first expert's normaliser, in states seen."""
+
+
+def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> None:
+    """Give `model` the policy and the state normaliser of another task's expert. Its value function starts from nothing."""
+    policy, hidden = model.policy, model.policy.mlp_extractor.policy_net
+    ours = (policy.observation_space.shape[0], hidden[0].out_features, policy.action_space.shape[0])
+    theirs = (expert.hidden1.in_features, expert.hidden1.out_features, expert.action.out_features)
+    if expert.squashed or ours != theirs:
+        raise ValueError(
+            f"expert.warm_start: the expert of {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
+            f"this one {ours}: choose a PPO expert of the same kind of task, and its expert.ppo.width"
+        )
+    pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))
+    for layer, first in pairs:
+        layer.load_state_dict(first.state_dict())
+    policy.log_std.data.copy_(expert.log_std)
+    venv.obs_rms.mean, venv.obs_rms.var = expert.state_mean.double().numpy(), expert.state_std.double().square().numpy()
+    venv.obs_rms.count = KNOWN_STATES
 
 
 def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
