@@ -193,7 +193,7 @@ def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_n
         patch.setattr(ppo, "Curve", lambda *_: (_ for _ in ()).throw(Killed))
         with pytest.raises(Killed):
             ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
-        assert found[0] == pytest.approx(first.mean(states), abs=1e-5)
+        assert found[0] == pytest.approx(first.mean(states), abs=1e-4)
         narrow = request.model_copy(update={"expert": request.expert.model_copy(update={"ppo": SMALL})})
         with pytest.raises(ValueError, match="warm_start.*myo/reach.*width"):
             ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
