@@ -69,7 +69,8 @@ class Bottle:
             along = rng.uniform(0.0, ALONG_NOISE)
         self.hands.start(data, right, HOLDING, rng, holding="left")
         x, y, z = IN_LEFT
-        data.qpos[self._place : self._place + 3] = self.hands.in_palm(data, "left", (x - along, y, z))
+        offset = data.xmat[self._left].reshape(3, 3) @ (x - along, y, z)
+        data.qpos[self._place : self._place + 3] = data.xpos[self._left] + offset
         quat = data.qpos[self._place + 3 : self._place + 7]
         mujoco.mju_mulQuat(quat, data.xquat[self._left], self._in_left)
 
@@ -92,13 +93,13 @@ class Bottle:
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
         """`original` is Bi-DexHands' reward."""
         bottle, cap = data.xpos[self._bottle], data.xpos[self._cap]
-        far = np.linalg.norm(cap - self.hands.tips(data)[0], axis=1)
-        palm = float(np.linalg.norm(self.hands.palms(data)[1] - bottle))
+        far = shadow.distances(self.hands.tips(data)[0], cap)
+        palm = float(shadow.distances(self.hands.palms(data)[1], bottle))
         travel = float(data.qpos[self._travel])
         return {
-            "reach": closeness(far[:4].mean()),
+            "reach": closeness(far[:4].sum() / 4.0),
             "held": closeness(palm),
-            "travel": float(np.clip(travel / 0.03, 0.0, 1.0) * self._touch(data)[0]),
+            "travel": min(max(travel / 0.03, 0.0), 1.0) * float(self._touch(data)[0]),
             "original": float(2.0 - far.sum() - palm + 30.0 * travel * (far.sum() <= 0.3)),
         }
 
@@ -108,7 +109,7 @@ class Bottle:
     def failed(self, data: mujoco.MjData) -> bool:
         """Whether the bottle is dropped or left alone."""
         cap, palms = data.xpos[self._cap], self.hands.palms(data)
-        right, left = np.linalg.norm(palms[0] - cap), np.linalg.norm(palms[1] - data.xpos[self._bottle])
+        right, left = shadow.distances(palms, np.stack([cap, data.xpos[self._bottle]]))
         return bool(cap[2] < 0.5 or right > 0.5 or left > 0.2)
 
 

@@ -70,11 +70,11 @@ class Scissors:
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
         """`original` is Bi-DexHands' reward."""
         handles = data.site_xpos[self._handles]
-        far = np.linalg.norm(handles[:, None] - self.hands.tips(data), axis=2)
+        far = shadow.distances(self.hands.tips(data), handles[:, None])
         opened = float(data.qpos[self._angle]) - CLOSED
         return {
-            "reach": float(sum(closeness(d) for d in far[:, :4].mean(axis=1))),  # the thumb has no part in it
-            "opening": float(np.clip(opened / 0.6, 0.0, 1.0)),
+            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # the thumb has no part in it
+            "opening": min(max(opened / 0.6, 0.0), 1.0),
             "original": float(2.0 - far.sum() + 5.0 * opened * (far.sum(axis=1) < 0.7).all()),
         }
 

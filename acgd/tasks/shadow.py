@@ -136,6 +136,9 @@ def _load_hand(file: str) -> mujoco.MjSpec:
     for tendon in list(hand.tendons):
         if not tendon.name.endswith("J1c"):  # those couple a finger's last joint to the one before it
             hand.delete(tendon)
+    for finger in FINGERS:
+        hand.body(f"robot0:{finger}distal").add_site(name=f"tip/{finger}", pos=TIP, group=5)
+    hand.body("robot0:palm").add_site(name="palm", pos=PALM, group=5)
     mount = hand.body("robot0:hand mount")
     mount.pos, mount.quat = (0, 0, 0), (1, 0, 0, 0)
     mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # its Euler angles would override the quaternion
@@ -167,23 +170,18 @@ class Hands:
         stride = np.concatenate([np.r_[base, FINGER_TURN * s[6:]] for s in np.split(high - low, len(SIDES))])
         self.robot = Robot.of(model, joints, stride)
         self._range = model.jnt_range[[model.joint(name).id for name in joints]].T
-        self._tips = [model.body(f"{side}/robot0:{finger}distal").id for side in SIDES for finger in FINGERS]
-        self._palms = [model.body(f"{side}/robot0:palm").id for side in SIDES]
+        self._tips = np.array([[model.site(f"{side}/tip/{finger}").id for finger in FINGERS] for side in SIDES])
+        self._palms = np.array([model.site(f"{side}/palm").id for side in SIDES])
         self.geoms = {side: _geoms(model, f"{side}/") for side in SIDES}
         """(ngeom,) bool by side."""
 
     def tips(self, data: mujoco.MjData) -> np.ndarray:
         """Fingertips (2, 5, 3) in the world, metres, in the order of SIDES and FINGERS."""
-        return _points(data, self._tips, TIP).reshape(len(SIDES), len(FINGERS), 3)
-
-    def in_palm(self, data: mujoco.MjData, side: str, point: tuple[float, float, float]) -> np.ndarray:
-        """A point (3,) of a palm link's frame in the world, metres."""
-        palm = self._palms[SIDES.index(side)]
-        return _points(data, [palm], point)[0]
+        return data.site_xpos[self._tips]
 
     def palms(self, data: mujoco.MjData) -> np.ndarray:
         """Middles of the palms (2, 3) in the world, metres."""
-        return _points(data, self._palms, PALM)
+        return data.site_xpos[self._palms]
 
     def start(
         self,
@@ -212,9 +210,11 @@ class Hands:
         data.ctrl[:] = rest(self._model, data)
 
 
-def _points(data: mujoco.MjData, bodies: list[int], offset: tuple[float, float, float]) -> np.ndarray:
-    return data.xpos[bodies] + data.xmat[bodies].reshape(-1, 3, 3) @ offset
-
-
 def _geoms(model: mujoco.MjModel, prefix: str) -> np.ndarray:
     return np.array([model.body(model.geom_bodyid[i]).name.startswith(prefix) for i in range(model.ngeom)])
+
+
+def distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(...,) metres from points (..., 3) to places that broadcast against them."""
+    away = points - place
+    return np.sqrt(np.einsum("...i,...i", away, away))

@@ -63,9 +63,9 @@ class Switch:
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
         """`original` is Bi-DexHands' reward."""
         handles = data.site_xpos[self._handles]
-        far = np.linalg.norm(handles[:, None] - self.hands.tips(data), axis=2)
+        far = shadow.distances(self.hands.tips(data), handles[:, None])
         return {
-            "reach": float(sum(closeness(d) for d in far[:, :4].mean(axis=1))),  # the thumb has no part in it
+            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # the thumb has no part in it
             "travel": float(self._travel(data).sum()),
             "original": float(2.0 - far.sum() + 50.0 * (1.4 - handles[:, 2].sum())),
         }
