@@ -15,7 +15,7 @@ from acgd.config.task import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
 from acgd.experts.q_ensemble import Critic
-from acgd.critics.fit import fit
+from acgd.critics.fit import fit, own
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
@@ -350,3 +350,30 @@ def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
     assert [row["step"] for row in read(whole / "metrics.jsonl")] == [1, 6, 11]
     critic = Critic.load(whole)
     assert critic.meta["task"] == TASK.name and critic.meta["simulator_steps"] >= 60
+
+
+def test_an_experts_own_critics_are_taken_with_the_spread_of_the_data_and_a_ppo_expert_has_none(tmp_path: Path):
+    data = linear_problem()
+    critic = a_critic(data.state.shape[1], seed=3)
+    critic.scale.fill_(7.0)
+    critic.save(tmp_path)
+    taken = own(tmp_path, data)
+    q = critic(torch.from_numpy(data.state), torch.from_numpy(data.action))
+    assert torch.equal(taken(torch.from_numpy(data.state), torch.from_numpy(data.action)), q)
+    assert float(taken.spread) == pytest.approx(float(q.detach().mean(0).std()))
+    with pytest.raises(ValueError, match="critic.source.*sac.*fqe"):
+        own(tmp_path / "nowhere", data)
+
+
+def test_an_experts_own_critics_are_measured_like_fitted_ones(tmp_path: Path, expert: Expert):
+    expert.save(tmp_path)
+    Critic(expert.hidden1.in_features, 39, 2, 16, 2).save(tmp_path)
+    out, state = tmp_path / "out", tmp_path / "state"
+    out.mkdir(), state.mkdir()
+    request = CriticRequest(task=TASK, critic=TINY.model_copy(update={"source": "expert"}))
+    with Metrics(out / "metrics.jsonl") as metrics:
+        fit(request, {"expert": tmp_path}, Context(out, state, metrics, QUIET, CPU))
+    meta = json.loads((out / "critic.json").read_text())
+    assert meta["source"] == "expert" and meta["branched_states"] == 0
+    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= json.loads((out / "quality.json").read_text()).keys()
+    assert Critic.load(out).spread > 0
