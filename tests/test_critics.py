@@ -354,7 +354,7 @@ def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
 
 def test_an_experts_own_critics_are_taken_with_the_spread_of_the_data_and_a_ppo_expert_has_none(tmp_path: Path):
     data = linear_problem()
-    critic = a_critic(data.state.shape[1], seed=3)
+    critic = Critic(data.state.shape[1], data.action.shape[1], 2, 16, 2, "raw", torch.Generator().manual_seed(3))
     critic.scale.fill_(7.0)
     critic.save(tmp_path)
     taken = own(tmp_path, data)
