@@ -241,6 +241,17 @@ def test_critics_of_other_weights_are_refused(entry):
         train.check(entry)
 
 
+def test_other_versions_than_those_of_the_training_are_a_warning(entry, capsys):
+    from acgd.__main__ import main
+
+    card = json.loads((entry / "card.json").read_text())
+    train.write_card(card | {"versions": card["versions"] | {"mujoco": "0.1"}}, entry)
+    assert main(["zoo", "verify"]) == 0
+    assert "mujoco" in (said := capsys.readouterr().out) and "0.1 in training" in said and "re-evaluate" in said
+    with pytest.raises(SystemExit, match="nearest is myo-reach"):
+        main(["zoo", "evaluate", "myo/reech"])
+
+
 def test_missing_entry_names_what_the_zoo_has(entry):
     with pytest.raises(FileNotFoundError, match="expert.source to train.*myo-reach"):
         train.check(entry.parent / "myo-pose")

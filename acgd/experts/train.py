@@ -54,7 +54,8 @@ def _learn(config: ExpertRequest):
 def take(slug: str, ctx: Context) -> None:
     """Copy zoo/<slug>, after checking that the card belongs to the weights."""
     folder = ZOO / slug
-    check(folder)
+    for note in other_versions(check(folder)):
+        print(f"warning: {slug}: {note}: re-evaluate it with `python -m acgd zoo evaluate {slug}`", flush=True)
     for name in (*FILES, *CRITIC):
         if (folder / name).is_file():
             shutil.copyfile(folder / name, ctx.out / name)
@@ -81,6 +82,15 @@ def check(folder: Path) -> dict:
                 f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
             )
     return found
+
+
+def other_versions(found: dict) -> list[str]:
+    """What a card was measured with and is not installed: success may differ."""
+    return [
+        f"{name} {have} here, {trained} in training"
+        for name, trained in found["versions"].items()
+        if (have := importlib.metadata.version(name)) != trained
+    ]
 
 
 def card(config: ExpertRequest, folder: Path) -> dict:

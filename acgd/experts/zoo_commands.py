@@ -1,7 +1,6 @@
 """`acgd zoo`: list, verify and re-evaluate the trained experts that come with the project."""
 
 import argparse
-import importlib.metadata
 import json
 import sys
 
@@ -53,7 +52,7 @@ def _list(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    from acgd.experts.train import check
+    from acgd.experts.train import check, other_versions
 
     bad = 0
     for spec, folder in _entries():
@@ -63,8 +62,7 @@ def _verify(args: argparse.Namespace) -> int:
             print(f"{spec.name}: {error}")
             bad += 1
             continue
-        notes = [f"{name} {have} here, {trained} in training" for name, trained in card["versions"].items()
-                 if (have := importlib.metadata.version(name)) != trained]  # fmt: skip
+        notes = other_versions(card)
         print(f"{spec.name}: sound" + (f"; warning: {'; '.join(notes)}: re-evaluate it" if notes else ""))
     return 1 if bad else 0
 
@@ -73,11 +71,12 @@ def _evaluate(args: argparse.Namespace) -> int:
     from acgd.config.task import TaskConfig
     from acgd.experts.policy import Expert
     from acgd.experts.success import episodes
-    from acgd.experts.train import check, wilson
+    from acgd.experts.train import check, other_versions, wilson
     from acgd.tasks.seeds import SEEDS
 
     spec, folder = _find(args.task)
-    check(folder)
+    for note in other_versions(check(folder)):
+        print(f"warning: {note}", file=sys.stderr)
     count = 1 if args.start == "nominal" else args.episodes
     rows = episodes(Expert.load(folder), TaskConfig(name=spec.name, start=args.start), SEEDS.expert_card.take(count, args.seed))
     result = {"task": spec.name, "start": args.start, "episodes": count, "first_seed": rows[0]["seed"],
