@@ -201,6 +201,18 @@ def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_n
         ExpertSettings(algorithm="sac", warm_start="myo/reach")
 
 
+def test_only_pose_tasks_train_from_starts_on_the_way():
+    advanced = REQUEST.expert.model_copy(update={"advanced_starts": 1.0})
+    with pytest.raises(ValueError, match="myo/pen-twirl.*advanced_starts"):
+        StateOnly(REQUEST.model_copy(update={"expert": advanced}), 0)
+    pose = ExpertRequest(task=TaskConfig(name="myo/pose"), expert=advanced)
+    error = {}
+    for request in (pose, ExpertRequest(task=pose.task)):
+        env = StateOnly(request, 0)
+        error[request.expert.advanced_starts] = np.mean([np.abs(env.reset()[0][env.unwrapped.state_layout["pose_err"]]).sum() for _ in range(10)])
+    assert error[1.0] < 0.75 * error[0.0]
+
+
 def test_sampled_actions_stay_in_the_box_and_spread_around_the_mean():
     expert = Expert.random(5, 3, seed=1)
     state = np.zeros((4000, 5), np.float32)

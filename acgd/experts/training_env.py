@@ -15,6 +15,8 @@ class StateOnly(gymnasium.ObservationWrapper):
         super().__init__(registry.make(config.task, image=False, reward_weights=config.expert.reward_weights))
         self.observation_space = self.env.observation_space["state"]
         self._advanced = config.expert.advanced_starts
+        if self._advanced and registry.TASKS[config.task.name].kind != "pose":
+            raise ValueError(f"{config.task.name} has no start on the way to its goal, only pose tasks have: leave expert.advanced_starts at 0")
         self._rng = np.random.default_rng(stream)
 
     def reseed(self, entropy: list[int]) -> None:

@@ -122,7 +122,7 @@ class MyoDexTask(gymnasium.Env):
             rng = np.random.default_rng([seed, 1])
             starts.perturb(self.task.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
         if options and options.get("advance"):
-            starts.advance(self.task, self.base, options["advance"])
+            starts.advance(self.base, options["advance"])
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
