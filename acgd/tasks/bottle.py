@@ -28,10 +28,10 @@ TILT = 0.3
 IN_LEFT = (-0.018, -0.0495, 0.070)
 IN_RIGHT = (0.05, -0.026, 0.125)
 """Where the bottle's middle is in the left palm, and the cap in the right one when the fingers close around the neck."""
-FAR_RIGHT = (0.03, 0.075, -0.06)
+FAR_RIGHT = (0.04, 0.075, -0.06)
 """Where the right hand starts from there: along the bottle's axis, behind it, and along the fingers, metres."""
-ALONG_NOISE = 0.025
-"""How much farther out of the left hand a perturbed start may have the bottle, metres."""
+OUT_NOISE, YAW_NOISE = 0.04, 0.25
+"""How a perturbed start moves the bottle in the left hand, uniform: up to so many metres outwards, radians either way."""
 FINGERS = ("FF", "MF", "RF", "LF")
 HOLDING = {f"{finger}{joint}": angle for finger in FINGERS for joint, angle in (("J2", 0.78), ("J1", 0.70))}
 HOLDING |= {"THJ4": 0.6, "THJ3": 0.05, "THJ1": -0.3, "THJ0": -0.3}
@@ -63,16 +63,17 @@ class Bottle:
         self._touch = Touch((self.hands.geoms["right"], cap))
 
     def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
-        right, along = {}, 0.0
+        right, out, yaw = {}, 0.0, 0.0
         if rng is not None:
             right = dict(zip("xyz", APPROACH * _to_neck())) if rng.random() < NEAR else {}
-            along = rng.uniform(0.0, ALONG_NOISE)
+            out, yaw = rng.uniform(0.0, OUT_NOISE), rng.uniform(-YAW_NOISE, YAW_NOISE)
         self.hands.start(data, right, HOLDING, rng, holding="left")
         x, y, z = IN_LEFT
-        offset = data.xmat[self._left].reshape(3, 3) @ (x - along, y, z)
-        data.qpos[self._place : self._place + 3] = data.xpos[self._left] + offset
-        quat = data.qpos[self._place + 3 : self._place + 7]
-        mujoco.mju_mulQuat(quat, data.xquat[self._left], self._in_left)
+        place, quat = np.split(data.qpos[self._place : self._place + 7], [3])  # views
+        place[:] = data.xpos[self._left] + data.xmat[self._left].reshape(3, 3) @ (x - out, y, z)
+        turn = np.array([np.cos(yaw / 2.0), 0.0, np.sin(yaw / 2.0), 0.0])  # about the palm's normal
+        mujoco.mju_mulQuat(quat, turn, self._in_left)
+        mujoco.mju_mulQuat(quat, data.xquat[self._left], quat.copy())
 
     def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
         rotation = data.xmat[self._bottle].reshape(3, 3)

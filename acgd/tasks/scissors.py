@@ -21,8 +21,8 @@ FEET = ((-0.12, 0.0), RING[1], RING[2])
 """Where a half slides on the table, from the hinge: there alone, as flat parts would make forty contacts."""
 GRIP = (0.1875, 0.073, 0.0)
 """The middle of that handle: where the fingers go."""
-PLACE_NOISE, YAW_NOISE = 0.04, 0.3
-"""Of a perturbed start, uniform: metres an axis, radians."""
+PLACE_NOISE, YAW_NOISE = (0.06, 0.12), 0.7
+"""Of a perturbed start, uniform: metres along x and y, radians."""
 _BENT = {f"{finger}J2": 0.7 for finger in ("FF", "MF", "RF", "LF")}
 NEAR_RIGHT = {"x": -0.03, "y": -0.13, "z": -0.02} | _BENT
 NEAR_LEFT = {"x": -0.03, "y": 0.13, "z": -0.02} | _BENT
@@ -50,7 +50,7 @@ class Scissors:
         if rng is not None:
             if rng.random() < NEAR:
                 right, left = NEAR_RIGHT, NEAR_LEFT
-            data.qpos[self._place : self._place + 2] += rng.uniform(-PLACE_NOISE, PLACE_NOISE, 2)
+            data.qpos[self._place : self._place + 2] += rng.uniform(-1.0, 1.0, 2) * PLACE_NOISE
             half = rng.uniform(-YAW_NOISE, YAW_NOISE) / 2.0
             data.qpos[self._place + 3 : self._place + 7] = np.cos(half), 0.0, 0.0, np.sin(half)
         self.hands.start(data, right, left, rng)

@@ -19,7 +19,7 @@ HANDLE = (0.042, 0.0, 0.012)
 """Half sizes of the boxes, and places in the frame they belong to, metres. The handle is where to press."""
 PLACES = ((0.0, 0.2), (0.0, -0.2))
 """Where the switches stand, that of the right hand first, metres."""
-PLACE_NOISE, YAW_NOISE, ANGLE_NOISE = 0.02, 0.15, 0.05
+PLACE_NOISE, YAW_NOISE, ANGLE_NOISE = 0.05, 0.4, 0.05
 """Of a perturbed start, uniform: metres an axis, radians, part of a rocker's travel."""
 NEAR_POSE = {"x": -0.045, "z": 0.05} | {f"{finger}J2": 0.4 for finger in ("FF", "MF", "RF", "LF")}
 """Fingertips some centimetres above the rockers' raised ends."""
