@@ -41,7 +41,7 @@ APPROACH = 0.3
 
 
 class Bottle:
-    """The hands and the bottle. Without noise the right one is 8 cm from the cap."""
+    """The hands and the bottle. Without noise the right one is 10 cm from the cap."""
 
     weights = {"reach": 0.5, "held": 0.5, "travel": 3.0, "original": 0.0}
     hold_steps = 1

@@ -44,13 +44,14 @@ OBJECT = {"contype": 2, "conaffinity": 1}
 TABLE = {"contype": 0, "conaffinity": 3}
 """What touches what: hands (contype 1, conaffinity 0) and objects touch the table and each other, but never their like."""
 _PALM_IN_MOUNT = (0.0, 0.01, 0.29)
-_SLIDE = {"kp": 1500.0, "kv": 80.0, "force": 150.0, "armature": 0.5}
-_HINGE = {"kp": 60.0, "kv": 3.0, "force": 20.0, "armature": 0.02}
+_SLIDE = {"reach": 0.25, "kp": 1500.0, "kv": 80.0, "force": 150.0, "armature": 0.5}
+_HINGE = {"reach": 0.6, "kp": 60.0, "kv": 3.0, "force": 20.0, "armature": 0.02}
+"""A base's motors; the reach is either way, metres and radians."""
 
 
 @dataclass(frozen=True)
 class HandPlace:
-    """Where a hand's base is when its six joints are zero, and how far they go."""
+    """Where a hand is when the six joints of its base are zero."""
 
     palm: tuple[float, float, float]
     """The palm link's origin in the world, metres."""
@@ -58,10 +59,6 @@ class HandPlace:
     """Unit vector along the outstretched fingers, in the world."""
     back: tuple[float, float, float]
     """Unit vector out of the back of the hand, in the world."""
-    slide: float = 0.25
-    """Metres either way."""
-    turn: float = 0.6
-    """Radians either way."""
 
     def quat(self) -> np.ndarray:
         """(w, x, y, z) of the hand's frame: x to the thumb's side, y out of the back, z along the fingers."""
@@ -74,13 +71,12 @@ class HandPlace:
 def hand_file() -> Path:
     """The Shadow Hand's MJCF in the installed gymnasium-robotics."""
     package = find_spec("gymnasium_robotics")
-    folders = package.submodule_search_locations if package else None
-    file = Path(next(iter(folders), "")) / "envs/assets/hand/reach.xml" if folders else None
-    if file is None or not file.is_file():
+    folder = package.submodule_search_locations[0] if package else "gymnasium_robotics"
+    file = Path(folder, "envs/assets/hand/reach.xml")
+    if not file.is_file():
         raise FileNotFoundError(
-            "The BiDex tasks need the Shadow Hand's model, which comes with gymnasium-robotics"
-            + (f" and is missing from it ({file})" if file else "")
-            + "; install it with: pip install --force-reinstall --no-deps gymnasium-robotics==1.4.2"
+            f"The BiDex tasks need the Shadow Hand's model, which comes with gymnasium-robotics: there is no {file}. "
+            "Install it with: pip install --force-reinstall --no-deps gymnasium-robotics==1.4.2"
         )
     return file
 
@@ -108,7 +104,7 @@ def add_hands(spec: mujoco.MjSpec, right: HandPlace, left: HandPlace) -> None:
         base = spec.worldbody.add_body(name=f"{side}/base", pos=place.palm, gravcomp=1.0)
         base.mass, base.inertia, base.explicitinertial = 0.01, (1e-5,) * 3, True
         for i, name in enumerate(BASE):
-            _add_base_joint(spec, base, f"{side}/{name}", i, place)
+            _add_base_joint(spec, base, f"{side}/{name}", i)
         quat = place.quat()
         offset = np.empty(3)
         mujoco.mju_rotVecQuat(offset, -np.array(_PALM_IN_MOUNT), quat)
@@ -116,15 +112,14 @@ def add_hands(spec: mujoco.MjSpec, right: HandPlace, left: HandPlace) -> None:
         base.add_frame(pos=offset, quat=quat).attach_body(hand.body("robot0:hand mount"), f"{side}/", "")
 
 
-def _add_base_joint(spec: mujoco.MjSpec, base, name: str, i: int, place: HandPlace) -> None:
-    slides = i < 3
-    gains, reach = (_SLIDE, place.slide) if slides else (_HINGE, place.turn)
-    kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-    base.add_joint(name=name, type=kind, axis=np.eye(3)[i % 3], range=(-reach, reach), limited=True, armature=gains["armature"])
+def _add_base_joint(spec: mujoco.MjSpec, base, name: str, i: int) -> None:
+    kind, servo = (mujoco.mjtJoint.mjJNT_SLIDE, _SLIDE) if i < 3 else (mujoco.mjtJoint.mjJNT_HINGE, _HINGE)
+    reach = servo["reach"]
+    base.add_joint(name=name, type=kind, axis=np.eye(3)[i % 3], range=(-reach, reach), limited=True, armature=servo["armature"])
     motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_position(kp=gains["kp"], kv=gains["kv"])
+    motor.set_to_position(kp=servo["kp"], kv=servo["kv"])
     motor.ctrllimited = motor.forcelimited = True
-    motor.ctrlrange, motor.forcerange = (-reach, reach), (-gains["force"], gains["force"])
+    motor.ctrlrange, motor.forcerange = (-reach, reach), (-servo["force"], servo["force"])
 
 
 def _load_hand(file: str) -> mujoco.MjSpec:
