@@ -10,6 +10,7 @@ import torch
 from pydantic import ValidationError
 
 from acgd.artifacts.stage import Context
+from acgd.config import zoo
 from acgd.config.critic import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
 from acgd.config.task import TaskConfig
 from acgd.critics import quality
@@ -377,3 +378,23 @@ def test_an_experts_own_critics_are_measured_like_fitted_ones(tmp_path: Path, ex
     assert meta["source"] == "expert" and meta["branched_states"] == 0
     assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= json.loads((out / "quality.json").read_text()).keys()
     assert Critic.load(out).spread > 0
+
+
+def test_the_zoos_critic_is_that_of_the_zoos_expert_alone(tmp_path: Path):
+    name = "opdex/spray-1"
+    request = CriticRequest(task=TaskConfig(name=name), critic=CriticConfig(source="zoo"))
+    out = tmp_path / "out"
+    out.mkdir()
+
+    def run(expert: Path) -> None:
+        with Metrics(tmp_path / "metrics.jsonl") as metrics:
+            fit(request, {"expert": expert}, Context(out, tmp_path, metrics, QUIET, CPU))
+
+    run(zoo.folder(name))
+    critic, expert = Critic.load(out), Expert.load(zoo.folder(name))
+    assert critic.meta["task"] == name and critic.shape["state_dim"] == expert.hidden1.in_features
+    assert json.loads((out / "quality.json").read_text())["within_state"]["states"] > 1
+    with pytest.raises(ValueError, match="critic.source.*fqe"):
+        run(zoo.folder("opdex/spray-2"))
+    with pytest.raises(FileNotFoundError, match="critic.source is zoo.*fqe.*opdex-spray-1"):
+        zoo.fitted_critic("myo/pose-hard")

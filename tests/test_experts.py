@@ -278,4 +278,4 @@ def test_shipped_cards_belong_to_their_weights_and_hold_what_they_claim():
         assert card["episodes"] >= 200 and final["low"] < final["rate"] == final["successes"] / card["episodes"]
         request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
         assert request.expert.learner.model_dump() == card["settings"] and request.expert.reward_weights == card["reward_weights"]
-        assert sum(path.stat().st_size for path in folder.iterdir()) < 2e6
+        assert sum(path.stat().st_size for path in folder.rglob("*")) < 2e6

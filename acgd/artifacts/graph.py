@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acgd.artifacts.key import canonical, identity, in_key, key_of
 from acgd.config import zoo
-from acgd.config.critic import CriticRequest
+from acgd.config.critic import CriticConfig, CriticRequest
 from acgd.config.evaluation import ControlsRequest, EvaluationRequest
 from acgd.config.expert import ExpertRequest, ExpertSettings
 from acgd.config.report import ReportEntry, ReportRequest
@@ -127,7 +127,7 @@ def _chain(plan: Plan, settings: Settings) -> Chain:
     )
     guided = settings.student.guidance == "critic"
     critic = tuple(
-        plan.add(Artifact("critic", slug(each.task), CriticRequest(task=each.task, critic=each.critic), {"expert": made}))
+        plan.add(_critic(each, made))
         for each, made in zip(settings.each_task, expert, strict=True)
         if guided
     )
@@ -178,6 +178,14 @@ def _expert(each: TaskSettings) -> Artifact:
         return Artifact("expert", slug(each.task), ExpertRequest(task=each.task, expert=each.expert.only_used()), {}, first)
     request = ExpertRequest(task=each.task, expert=ExpertSettings(source="zoo"))
     return Artifact("expert", slug(each.task), request, {}, zoo.files(each.task.name))
+
+
+def _critic(each: TaskSettings, expert: Artifact) -> Artifact:
+    """A critic from the zoo depends on its files, and on no setting of a fit that does not happen."""
+    if each.critic.source == "zoo":
+        request = CriticRequest(task=each.task, critic=CriticConfig(source="zoo"))
+        return Artifact("critic", slug(each.task), request, {"expert": expert}, zoo.fitted_critic(each.task.name))
+    return Artifact("critic", slug(each.task), CriticRequest(task=each.task, critic=each.critic), {"expert": expert})
 
 
 def _backbone(settings: Settings, tasks: list[TaskConfig], rollouts: tuple[Artifact, ...]) -> Artifact:

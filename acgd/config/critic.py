@@ -44,9 +44,13 @@ class QualityConfig(Section):
 
 
 class CriticConfig(Section):
-    """Q of a frozen expert: by fitted Q evaluation with an ensemble of LayerNorm networks, or the expert's own."""
+    """Q of a frozen expert: by fitted Q evaluation with an ensemble of LayerNorm networks, ready from zoo/, or the expert's own."""
 
-    source: Literal["fqe", "expert"] = Field("fqe", description="fqe: fitted to the frozen expert; expert: the critics that an off-policy expert (SAC) has learned.")
+    source: Literal["fqe", "zoo", "expert"] = Field(
+        "fqe",
+        description="fqe: fitted to the frozen expert; zoo: the one so fitted that lies beside the expert in zoo/; expert: the critics that an off-policy "
+        "expert (SAC) has learned.",
+    )
     members: PositiveInt = Field(2, description="Networks in the ensemble.")
     width: PositiveInt = Field(128, description="Units of a hidden layer.")
     depth: PositiveInt = Field(2, description="Hidden layers.")

@@ -1,12 +1,14 @@
 """The critic stage: gather what the frozen expert meets, fit Q to it, and measure how far Q can be trusted."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from acgd.artifacts.stage import Context, Inputs
+from acgd.config import zoo
 from acgd.config.critic import CriticConfig, CriticRequest
 from acgd.critics import quality
 from acgd.critics.fitted_q import FittedQ
@@ -14,6 +16,7 @@ from acgd.critics.gather import CANDIDATES, branches, candidates, rollouts
 from acgd.critics.transitions import Transitions, concatenate
 from acgd.experts.policy import Expert
 from acgd.experts.q_ensemble import WEIGHTS, Critic
+from acgd.experts.train import check, sha256
 from acgd.tasks.lockstep import Lockstep
 from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
@@ -27,6 +30,9 @@ VISITS_PER_BRANCH = 3
 
 def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
     """{expert} -> critic.safetensors, critic.json, quality.json, within_state.csv."""
+    if config.critic.source == "zoo":
+        take(config.task.name, inputs["expert"], ctx)
+        return
     expert = Expert.load(inputs["expert"])
     limit = TASKS[config.task.name].horizon
     lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
@@ -49,6 +55,14 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
     critic.save(ctx.out)
     found = quality.measure(critic, expert, lock, limit, config.critic, ctx.out / "within_state.csv", ctx.progress)
     (ctx.out / "quality.json").write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+
+
+def take(task: str, expert: Path, ctx: Context) -> None:
+    """Copy the critic that lies in zoo/. Raises ValueError where it was fitted to another expert than the one in folder `expert`."""
+    if check(zoo.folder(task))["sha256"] != sha256(expert / "policy.safetensors"):
+        raise ValueError(f"critic.source is zoo, but the expert of {task} is not that of the zoo: set critic.source to fqe, or expert.source to zoo")
+    for file in zoo.fitted_critic(task):
+        shutil.copyfile(file, ctx.out / file.name)
 
 
 def own(folder: Path, data: Transitions) -> Critic:
