@@ -91,7 +91,7 @@ def _build() -> mujoco.MjSpec:
         switch.add_geom(type=box, size=HOUSING, pos=(0, 0, HOUSING[2]), rgba=(0.16, 0.28, 0.45, 1), **shadow.OBJECT)
         rocker = switch.add_body(name=f"rocker/{side}", pos=PIVOT)
         rocker.add_joint(
-            name=f"rocker/{side}", axis=(0, -1, 0), limited=True, range=(0, OFF), damping=0.02, frictionloss=0.06, armature=0.001
+            name=f"rocker/{side}", axis=(0, -1, 0), limited=True, range=(0, OFF), damping=0.02, frictionloss=0.15, armature=0.001
         )
         rocker.add_geom(type=box, size=ROCKER, mass=0.05, rgba=(0.9, 0.35, 0.1, 1), **shadow.OBJECT)
         near = (ROCKER[0] / 2.0, ROCKER[1], ROCKER[2])  # sunk in the housing while the switch is off: the picture tells
