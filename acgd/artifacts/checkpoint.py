@@ -33,22 +33,31 @@ Generators = dict[str, torch.Generator]
 
 def training_state(model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> dict[str, Tensor]:
     """Everything a step depends on, flat: `model.*`, `optimiser.<parameter>.<moment>`, `generator.*`."""
-    tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
-    for index, moments in optimiser.state_dict()["state"].items():
-        tensors |= {f"optimiser.{index}.{name}": value for name, value in moments.items()}
+    tensors = {f"model.{name}": value for name, value in model.state_dict().items()} | moments_of(optimiser, "optimiser.")
     return tensors | {f"generator.{name}": generator.get_state() for name, generator in generators.items()}
 
 
 def restore(tensors: dict[str, Tensor], model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> None:
     """The inverse of `training_state`."""
     model.load_state_dict(under(tensors, "model."))
+    restore_moments(optimiser, tensors, "optimiser.")
+    for name, generator in generators.items():
+        generator.set_state(tensors[f"generator.{name}"])
+
+
+def moments_of(optimiser: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
+    """`<prefix><parameter>.<moment>` of an optimiser."""
+    state = optimiser.state_dict()["state"]
+    return {f"{prefix}{index}.{name}": value for index, moments in state.items() for name, value in moments.items()}
+
+
+def restore_moments(optimiser: torch.optim.Optimizer, tensors: dict[str, Tensor], prefix: str) -> None:
+    """The inverse of `moments_of`; other tensors are left alone."""
     moments: dict[int, dict[str, Tensor]] = {}
-    for name, value in under(tensors, "optimiser.").items():
+    for name, value in under(tensors, prefix).items():
         index, moment = name.split(".")
         moments.setdefault(int(index), {})[moment] = value
     optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
-    for name, generator in generators.items():
-        generator.set_state(tensors[f"generator.{name}"])
 
 
 def under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

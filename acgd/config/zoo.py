@@ -5,6 +5,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
 CRITIC = ("critic.safetensors", "critic.json")
+"""An off-policy expert's own critics, as the critic stage saves them."""
 
 
 def folder(task: str, root: Path | None = None) -> Path:

@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor
 
+from acgd.artifacts import checkpoint
 from acgd.config.critic import CriticConfig
 from acgd.experts.q_ensemble import Critic
 from acgd.critics.targets import Targets, targets
@@ -133,9 +134,7 @@ class FittedQ:
     def save(self, path: Path) -> None:
         """Everything that the next updates depend on, in one file, replaced atomically."""
         tensors = {f"critic.{name}": value for name, value in self.critic.state_dict().items()}
-        for i, state in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser.{i}.{name}": value for name, value in state.items()}
-        tensors |= {"y": self.y, "z": self.z, "generator": self.generator.get_state()}
+        tensors |= checkpoint.moments_of(self.optimiser, "optimiser.") | {"y": self.y, "z": self.z, "generator": self.generator.get_state()}
         data = save({name: value.contiguous() for name, value in tensors.items()}, {"step": json.dumps(self.step)})
         draft = path.with_suffix(".tmp")
         with open(draft, "wb") as file:
@@ -147,17 +146,12 @@ class FittedQ:
     def resume(self, path: Path) -> None:
         """Goes on from what `save` wrote, to the same bytes as if never stopped."""
         tensors = load_file(path)
-        self.critic.load_state_dict({name.removeprefix("critic."): value for name, value in tensors.items() if name.startswith("critic.")})
-        state: dict[int, dict[str, Tensor]] = {}
-        for name, value in tensors.items():
-            if name.startswith("optimiser."):
-                _, i, entry = name.split(".")
-                state.setdefault(int(i), {})[entry] = value
-        self.optimiser.load_state_dict({"state": state, "param_groups": self.optimiser.state_dict()["param_groups"]})
+        self.critic.load_state_dict(checkpoint.under(tensors, "critic."))
+        checkpoint.restore_moments(self.optimiser, tensors, "optimiser.")
         self.generator.set_state(tensors["generator"])
         self.y = tensors["y"].to(self.device)
         self._adopt(tensors["z"].to(self.device))
-        self.step = round(float(state[0]["step"]))
+        self.step = round(float(tensors["optimiser.0.step"]))
 
 
 def branch_targets(targets: Targets, next_value: Tensor, groups: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from acgd.artifacts import checkpoint
 from acgd.artifacts.atomic import replace_file
 from acgd.config import zoo
 from acgd.config.expert import ExpertRequest, PPOConfig
@@ -126,8 +127,7 @@ def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> Non
     """One atomic checkpoint: weights, Adam's moments and normalisers; step and curve."""
     state.mkdir(parents=True, exist_ok=True)
     tensors = {f"policy.{k}": v.detach().clone().contiguous() for k, v in model.policy.state_dict().items()}
-    for i, slot in model.policy.optimizer.state_dict()["state"].items():
-        tensors |= {f"adam.{i}.{k}": torch.as_tensor(v, dtype=torch.float32).clone() for k, v in slot.items()}
+    tensors |= checkpoint.moments_of(model.policy.optimizer, "adam.")
     for name, rms in (("obs", venv.obs_rms), ("ret", venv.ret_rms)):
         tensors[f"{name}.mean"] = torch.as_tensor(np.atleast_1d(rms.mean), dtype=torch.float64)
         tensors[f"{name}.var"] = torch.as_tensor(np.atleast_1d(rms.var), dtype=torch.float64)
@@ -146,13 +146,8 @@ def _load(state: Path, model: PPO, venv: VecNormalize) -> list[dict]:
     with safe_open(path, "pt") as file:
         note = file.metadata()
     tensors = load_file(path)
-    model.policy.load_state_dict({k[7:]: v for k, v in tensors.items() if k.startswith("policy.")})
-    adam = model.policy.optimizer.state_dict()
-    count = len(adam["param_groups"][0]["params"])
-    adam["state"] = {
-        i: {k: tensors[f"adam.{i}.{k}"] for k in ("step", "exp_avg", "exp_avg_sq")} for i in range(count)
-    }
-    model.policy.optimizer.load_state_dict(adam)
+    model.policy.load_state_dict(checkpoint.under(tensors, "policy."))
+    checkpoint.restore_moments(model.policy.optimizer, tensors, "adam.")
     for name, rms in (("obs", venv.obs_rms), ("ret", venv.ret_rms)):
         mean, var = tensors[f"{name}.mean"].numpy(), tensors[f"{name}.var"].numpy()
         rms.mean, rms.var = (mean, var) if name == "obs" else (mean[0], var[0])

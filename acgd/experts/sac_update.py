@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from acgd.artifacts import checkpoint
 from acgd.config.expert import SACConfig
-from acgd.experts.policy import Expert
+from acgd.experts.policy import LOG_STD, Expert
 from acgd.experts.q_ensemble import Critic
 
 FIRST_STD = 0.5
@@ -116,8 +117,7 @@ class SACUpdate:
         for name, network in (("actor", self.actor), ("critic", self.critic), ("target", self.target)):
             tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
         for name, optimiser in self.optimisers.items():
-            for i, moments in optimiser.state_dict()["state"].items():
-                tensors |= {f"adam.{name}.{i}.{key}": value for key, value in moments.items()}
+            tensors |= checkpoint.moments_of(optimiser, f"adam.{name}.")
         return tensors
 
     def load(self, tensors: dict[str, Tensor], step: int) -> None:
@@ -126,25 +126,15 @@ class SACUpdate:
         with torch.no_grad():
             self.log_temperature.copy_(tensors["log_temperature"])
         for name, network in (("actor", self.actor), ("critic", self.critic), ("target", self.target)):
-            network.load_state_dict(_under(tensors, f"{name}."))
+            network.load_state_dict(checkpoint.under(tensors, f"{name}."))
         for name, optimiser in self.optimisers.items():
-            moments: dict[int, dict[str, Tensor]] = {}
-            for key, value in _under(tensors, f"adam.{name}.").items():
-                i, moment = key.split(".")
-                moments.setdefault(int(i), {})[moment] = value
-            optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
+            checkpoint.restore_moments(optimiser, tensors, f"adam.{name}.")
         for name in self._networks:
             self._copy(name)
 
 
-def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-
 def _initialise(actor: Expert, generator: torch.Generator) -> None:
     """Uniform by fan-in, as torch does; the first actions small, the first spread FIRST_STD."""
-    from acgd.experts.policy import LOG_STD
-
     with torch.no_grad():
         for layer in (actor.hidden1, actor.hidden2, actor.action, actor.spread):
             bound = layer.in_features**-0.5

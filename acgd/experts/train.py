@@ -10,16 +10,14 @@ from scipy.stats import binomtest
 
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.expert import ExpertRequest
+from acgd.config.zoo import CRITIC, FILES
 from acgd.experts.policy import Expert
-from acgd.experts.q_ensemble import META, WEIGHTS
+from acgd.experts.q_ensemble import WEIGHTS
 from acgd.experts.success import episodes
 from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
 
 ZOO = Path(__file__).resolve().parents[2] / "zoo"
-FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
-CRITIC = (WEIGHTS, META)
-"""An off-policy expert's own critics, as the critic stage saves them."""
 SIMULATOR = ("mujoco", "myosuite", "myo-sim")
 ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC"}
 
@@ -74,9 +72,7 @@ def check(folder: Path) -> dict:
         )
     found = json.loads((folder / "card.json").read_text())
     for entry, name in (("sha256", "policy.safetensors"), ("critic_sha256", WEIGHTS)):
-        if (name == WEIGHTS and not (folder / name).is_file()) and entry not in found:
-            continue
-        if not (folder / name).is_file() or found.get(entry) != sha256(folder / name):
+        if found.get(entry) != (sha256(folder / name) if (folder / name).is_file() else None):
             raise ValueError(
                 f"{folder}/card.json is not the card of the {name} beside it: "
                 f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
