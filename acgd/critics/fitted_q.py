@@ -12,9 +12,9 @@ from torch import Tensor
 
 from acgd.artifacts import checkpoint
 from acgd.config.critic import CriticConfig
-from acgd.experts.q_ensemble import Critic
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
+from acgd.experts.q_ensemble import Critic
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3

@@ -14,6 +14,7 @@ import numpy as np
 from acgd.config.task import TaskConfig
 from acgd.tasks import spray
 from acgd.tasks.bottle import Bottle
+from acgd.tasks.observation import layout, space
 from acgd.tasks.scene import Scene
 from acgd.tasks.scissors import Scissors
 from acgd.tasks.snapshot import STATE, Snapshot
@@ -80,19 +81,9 @@ class DexterousTask(gymnasium.Env):
         self._image = image
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self._start(None)
-        self.state_layout, at = {}, 0
-        for name, value in (self._proprio_entries() | self._scene_entries()).items():
-            self.state_layout[name] = slice(at, at + value.size)
-            at += value.size
-        proprio = sum(value.size for value in self._proprio_entries().values())
-        spaces = {
-            "proprio": gymnasium.spaces.Box(-np.inf, np.inf, (proprio,), np.float32),
-            "state": gymnasium.spaces.Box(-np.inf, np.inf, (at,), np.float32),
-        }
-        if image:
-            size = config.image_size
-            spaces["image"] = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
-        self.observation_space = gymnasium.spaces.Dict(spaces)
+        observed = self._observe_state()
+        self.state_layout = layout(self._proprio_entries() | self._scene_entries())
+        self.observation_space = space(observed["proprio"].size, observed["state"].size, config.image_size if image else None)
 
     # -- episode ---------------------------------------------------------------------------------
 
@@ -184,12 +175,15 @@ class DexterousTask(gymnasium.Env):
         return self._renderer.render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        proprio = np.concatenate(list(self._proprio_entries().values())).astype(np.float32)
-        scene = np.concatenate(list(self._scene_entries().values())).astype(np.float32)
-        obs = {"proprio": proprio, "state": np.concatenate([proprio, scene])}
+        obs = self._observe_state()
         if self._image:
             obs["image"] = self.render()
         return obs
+
+    def _observe_state(self) -> dict[str, np.ndarray]:
+        proprio = np.concatenate(list(self._proprio_entries().values())).astype(np.float32)
+        scene = np.concatenate(list(self._scene_entries().values())).astype(np.float32)
+        return {"proprio": proprio, "state": np.concatenate([proprio, scene])}
 
     def _proprio_entries(self) -> dict[str, np.ndarray]:
         return {

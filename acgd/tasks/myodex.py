@@ -15,6 +15,7 @@ import numpy as np
 
 from acgd.config.task import TaskConfig
 from acgd.tasks import starts
+from acgd.tasks.observation import layout, space
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
@@ -92,18 +93,9 @@ class MyoDexTask(gymnasium.Env):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self.base.reset(seed=0)
         entries = self._state_entries()
-        self.state_layout, at = {}, 0
-        for name, value in entries.items():
-            self.state_layout[name] = slice(at, at + value.size)
-            at += value.size
-        spaces = {
-            "proprio": gymnasium.spaces.Box(-np.inf, np.inf, (46 + self.model.na,), np.float32),
-            "state": gymnasium.spaces.Box(-np.inf, np.inf, (at,), np.float32),
-        }
-        if image:
-            size = config.image_size
-            spaces["image"] = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
-        self.observation_space = gymnasium.spaces.Dict(spaces)
+        self.state_layout = layout(entries)
+        state = sum(value.size for value in entries.values())
+        self.observation_space = space(46 + self.model.na, state, config.image_size if image else None)
 
     # -- episode ---------------------------------------------------------------------------------
 
