@@ -8,14 +8,16 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from acgd.config.expert import ExpertRequest, ExpertSettings, PPOConfig, SACConfig
+from acgd.config.expert import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
 from acgd.config.task import TaskConfig
-from acgd.experts import ppo, sac, train
+from acgd.experts import dagger, ppo, sac, train
+from acgd.experts.muscle_control import MuscleControl
 from acgd.experts.policy import LOG_STD, Expert
 from acgd.experts.q_ensemble import Critic
 from acgd.experts.replay import Replay
 from acgd.experts.sac_update import SACUpdate
 from acgd.experts.training_env import StateOnly
+from acgd.students.excitation import excitation
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
@@ -27,11 +29,19 @@ REQUEST = ExpertRequest(
 
 
 SMALL_SAC = SACConfig(steps=96, envs=2, random_steps=16, updates_per_step=0.5, batch=8, width=8)
+SMALL_DAGGER = DaggerConfig(steps=96, rounds=3, envs=2, epochs=2, batch=16, width=8)
+
+
+def changed(task="myo/pen-twirl", **settings):
+    return ExpertRequest(task=TaskConfig(name=task), expert=REQUEST.expert.model_copy(update=settings))
+
+
 REQUESTS = {
     "ppo": REQUEST,
-    "sac": REQUEST.model_copy(update={"expert": REQUEST.expert.model_copy(update={"algorithm": "sac", "sac": SMALL_SAC})}),
+    "sac": changed(algorithm="sac", sac=SMALL_SAC),
+    "dagger": changed("myo/reach", algorithm="dagger", dagger=SMALL_DAGGER),
 }
-LEARNERS = {"ppo": (ppo, ppo.train_ppo), "sac": (sac, sac.train_sac)}
+LEARNERS = {"ppo": (ppo, ppo.train_ppo), "sac": (sac, sac.train_sac), "dagger": (dagger, dagger.train_dagger)}
 
 
 class Killed(Exception):
@@ -184,21 +194,83 @@ def test_exported_expert_acts_like_the_trained_policy(tmp_path):
 def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_not_fit(tmp_path):
     """Before its first update, the policy is the expert of the other task."""
     wide = SMALL.model_copy(update={"width": 256})
-    request = ExpertRequest(task=TaskConfig(name="myo/reach-hard"), expert=REQUEST.expert.model_copy(update={"ppo": wide, "warm_start": "myo/reach"}))
+    request = changed("myo/reach-hard", ppo=wide, warm_start="myo/reach")
     first = Expert.load(train.ZOO / "myo-reach")
     states = np.random.default_rng(0).normal(size=(4, first.hidden1.in_features)).astype(np.float32)
     found = []
     with pytest.MonkeyPatch.context() as patch, open(tmp_path / "log", "w") as log:
-        patch.setattr(ppo, "_load", lambda state, model, venv: found.append(ppo.export(model, venv, {}).mean(states)) or [])
-        patch.setattr(ppo, "Curve", lambda *_: (_ for _ in ()).throw(Killed))
+        start = ppo._start_from
+
+        def starting(expert, name, model, venv):
+            start(expert, name, model, venv)
+            found.append(ppo.export(model, venv, {}).mean(states))
+            raise Killed
+
+        patch.setattr(ppo, "_start_from", starting)
         with pytest.raises(Killed):
             ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
         assert found[0] == pytest.approx(first.mean(states), abs=1e-4)
-        narrow = request.model_copy(update={"expert": request.expert.model_copy(update={"ppo": SMALL})})
+        narrow = changed("myo/reach-hard", warm_start="myo/reach")
         with pytest.raises(ValueError, match="warm_start.*myo/reach.*width"):
             ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     with pytest.raises(ValueError, match="warm_start.*ppo"):
         ExpertSettings(algorithm="sac", warm_start="myo/reach")
+
+
+def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
+    """DAgger runs once; then the policy is trained on, and a resumed run needs no pupil any more."""
+    tiny = SMALL_DAGGER.model_copy(update={"steps": 32, "rounds": 2})
+    request = changed("myo/reach", ppo=SMALL, dagger=tiny, warm_start="dagger")
+    assert request.expert.only_used() == request.expert
+    with open(tmp_path / "log", "w") as log:
+        expert, points = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+        pupil = Expert.load(tmp_path / "dagger" / "best")
+        assert [point["step"] for point in points] == [32, 64, 96] and expert.state_mean == pytest.approx(pupil.state_mean, abs=0.05)
+        shutil.rmtree(tmp_path / "dagger")
+        again, _ = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+    assert torch.equal(again.action.weight, expert.action.weight)
+
+
+@pytest.mark.parametrize("task", ["myo/reach", "myo/reach-hard"])
+def test_the_muscle_controller_reaches_and_holds(task):
+    """From nearly all starts; fingertips end well inside the 62.5 mm that count."""
+    env = StateOnly(changed(task), 0).unwrapped
+    teacher, left, held = MuscleControl(env, DaggerConfig()), [], 0
+    for seed in range(5):
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            observation, _, terminated, truncated, info = env.step(teacher.action())
+            ended = terminated or truncated
+        left.append(np.linalg.norm(observation["state"][env.state_layout["reach_err"]]))
+        held += info["success"]["final"] and info["success"]["held"]
+    assert held >= 4 and np.median(left) < 0.045
+
+
+def test_the_muscle_controller_leaves_the_simulation_as_it_was():
+    one, other = (StateOnly(changed("myo/pose-hard"), 0).unwrapped for _ in range(2))
+    teacher = MuscleControl(one, DaggerConfig())
+    one.reset(seed=1), other.reset(seed=1)
+    for _ in range(20):
+        action = teacher.action()
+        assert action.shape == (39,) and np.abs(action).max() <= 1
+        assert np.array_equal(one.step(action)[0]["state"], other.step(action)[0]["state"])
+
+
+def test_tasks_with_objects_have_no_muscle_controller():
+    with pytest.raises(ValueError, match="myo/pen-twirl.*ppo or sac"):
+        MuscleControl(StateOnly(REQUEST, 0).unwrapped, DaggerConfig())
+
+
+def test_dagger_learns_what_the_teacher_does(tmp_path):
+    """In muscle excitations, on states that it visited itself."""
+    request = changed("myo/reach", algorithm="dagger", dagger=DaggerConfig(steps=4800, rounds=3, width=64), evaluate_every=10**6)
+    with open(tmp_path / "log", "w") as log:
+        expert, points = dagger.train_dagger(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+    last = load_file(tmp_path / "round-002.safetensors")
+    wanted, given = excitation(last["actions"]), excitation(expert.mean_tensor(last["states"]))
+    missed = (given - wanted).square().mean() / wanted.var(0).mean()
+    assert missed < 0.5 and points[-1]["loss"] < 0.05
 
 
 def test_only_pose_tasks_train_from_starts_on_the_way():

@@ -53,15 +53,35 @@ class SACConfig(Section):
     precision: Literal["float32", "bfloat16"] = Field(default="bfloat16", description="Of the matrix products in an update.")
 
 
+class DaggerConfig(Section):
+    """Imitation of the muscle controller, which knows the equations of motion, by dataset aggregation."""
+
+    steps: int = Field(default=200_000, ge=1, description="Labelled environment steps in all.")
+    rounds: int = Field(default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each.")
+    envs: int = Field(default=8, ge=1, description="Environments in one process.")
+    epochs: int = Field(default=6, ge=1, description="Passes over all rounds so far after each round.")
+    batch: int = Field(default=256, ge=2, description="Minibatch size.")
+    width: int = Field(default=256, ge=8, description="Units of the two hidden layers of the policy.")
+    learning_rate: float = Field(default=1e-3, gt=0, description="Adam's step size at the start; it falls linearly over the rounds.")
+    exploration: float = Field(default=0.1, gt=0, description="Standard deviation of the noise on the policy's actions while it acts.")
+    rate: float = Field(default=4.0, gt=0, description="Share of the error that the teacher would undo in a second.")
+    damping: float = Field(default=1.2, ge=0, description="Weight of the joints' velocity beside the error's.")
+    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
+    gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount of the returns that a critic of this expert stands for.")
+
+
 class ExpertSettings(Section):
     """Where an expert comes from, and how it is trained."""
 
     source: Literal["zoo", "train"] = Field(
         default="zoo", description="zoo: the trained expert in zoo/; train: rebuilt from nothing."
     )
-    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="What trains it; used where source is train.")
+    algorithm: Literal["ppo", "sac", "dagger"] = Field(
+        default="ppo", description="What trains it; used where source is train. dagger: pose and reach tasks only."
+    )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="Settings of PPO.")
     sac: SACConfig = Field(default_factory=SACConfig, description="Settings of SAC.")
+    dagger: DaggerConfig = Field(default_factory=DaggerConfig, description="Settings of DAgger.")
     reward_weights: dict[str, float] = Field(
         default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
     )
@@ -69,7 +89,9 @@ class ExpertSettings(Section):
         default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal pose; pose tasks only."
     )
     warm_start: str = Field(
-        default="", description="Task whose expert in zoo/ the policy starts from, such as myo/reach for myo/reach-hard; PPO only. Empty: from nothing."
+        default="",
+        description="What PPO's policy starts from: a task whose expert is in zoo/, such as myo/reach for myo/reach-hard, or dagger: "
+        "one that imitates the muscle controller. Empty: from nothing.",
     )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
@@ -86,14 +108,15 @@ class ExpertSettings(Section):
         return self
 
     @property
-    def learner(self) -> PPOConfig | SACConfig:
+    def learner(self) -> PPOConfig | SACConfig | DaggerConfig:
         """The section of the chosen algorithm."""
-        return self.sac if self.algorithm == "sac" else self.ppo
+        return getattr(self, self.algorithm)
 
     def only_used(self) -> "ExpertSettings":
         """Without the settings of the algorithm that is not used: they do not change the expert."""
-        unused = {"ppo": PPOConfig()} if self.algorithm == "sac" else {"sac": SACConfig()}
-        return self.model_copy(update=unused)
+        sections = {"ppo": PPOConfig(), "sac": SACConfig(), "dagger": DaggerConfig()}
+        used = (self.algorithm, self.warm_start)
+        return self.model_copy(update={name: default for name, default in sections.items() if name not in used})
 
 
 class ExpertRequest(Section):

@@ -21,6 +21,7 @@ from acgd.config.expert import ExpertRequest, PPOConfig
 from acgd.experts.curve import Curve
 from acgd.experts.policy import STATE_CLIP, Expert
 from acgd.experts.training_env import StateOnly
+from acgd.tracking.metrics import Metrics
 
 
 def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Expert, list[dict]]:
@@ -38,9 +39,10 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
         gae_lambda=ppo.gae_lambda, clip_range=ppo.clip, ent_coef=ppo.entropy,
         policy_kwargs={"net_arch": [ppo.width, ppo.width], "log_std_init": float(np.log(ppo.initial_std))},
     )  # fmt: skip
-    if settings.warm_start:
-        _start_from(Expert.load(zoo.folder(settings.warm_start)), settings.warm_start, model, venv)
-    curve = Curve(config, state, metrics, _load(state, model, venv))
+    points = _load(state, model, venv)
+    if settings.warm_start and not model.num_timesteps:
+        _start_from(_first_expert(config, state, progress), settings.warm_start, model, venv)
+    curve = Curve(config, state, metrics, points)
     metrics.rewind(model.num_timesteps)
     meta = {"task": config.task.name, "gamma": ppo.gamma, "reward_weights": settings.reward_weights, "algorithm": "ppo"}
     segment = ppo.envs * ppo.rollout_steps
@@ -86,14 +88,24 @@ KNOWN_STATES = 100_000
 """Weight of a first expert's normaliser, in states seen."""
 
 
+def _first_expert(config: ExpertRequest, state: Path, progress) -> Expert:
+    """What the policy starts from: the expert of a task in the zoo, or one that is trained here from the muscle controller."""
+    if config.expert.warm_start != "dagger":
+        return Expert.load(zoo.folder(config.expert.warm_start))
+    from acgd.experts.dagger import train_dagger
+
+    with Metrics(state / "dagger" / "metrics.jsonl") as own:
+        return train_dagger(config, state / "dagger", own, progress)[0]
+
+
 def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> None:
-    """Give `model` the policy and the state normaliser of another task's expert. Its value function starts from nothing."""
+    """Give `model` the policy and the state normaliser of another expert. Its value function starts from nothing."""
     policy, hidden = model.policy, model.policy.mlp_extractor.policy_net
     ours = (policy.observation_space.shape[0], hidden[0].out_features, policy.action_space.shape[0])
     theirs = (expert.hidden1.in_features, expert.hidden1.out_features, expert.action.out_features)
     if expert.squashed or ours != theirs:
         raise ValueError(
-            f"expert.warm_start: the expert of {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
+            f"expert.warm_start: the expert {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
             f"this one {ours}: choose a PPO expert of the same kind of task, and its expert.ppo.width"
         )
     pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))

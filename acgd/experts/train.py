@@ -19,7 +19,7 @@ from acgd.tasks.seeds import SEEDS
 
 ZOO = Path(__file__).resolve().parents[2] / "zoo"
 SIMULATOR = ("mujoco", "myosuite", "myo-sim")
-ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC"}
+ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC", "dagger": "DAgger"}
 
 
 def train(config: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
@@ -44,6 +44,10 @@ def _learn(config: ExpertRequest):
         from acgd.experts.sac import train_sac
 
         return train_sac
+    if config.expert.algorithm == "dagger":
+        from acgd.experts.dagger import train_dagger
+
+        return train_dagger
     from acgd.experts.ppo import train_ppo
 
     return train_ppo

@@ -1,0 +1,86 @@
+"""A teacher from the equations of motion: muscle activations that move a hand towards its goal.
+
+The suite's fingers are light and strongly damped, so a joint's velocity follows its torque at once:
+
+    C dq/dt = A(q) a + b(q)
+
+with the joints' damping C (V, V), the muscles' moment arms times active forces A (V, M), and b (V,) of gravity
+and passive forces. For the error e of a task (a pose's joint angles, a reach's fingertips) with Jacobian J
+the activations a >= 0 are the least-squares solution of
+
+    J dq/dt = rate e,   damping dq/dt = 0,   effort a = 0:
+
+resolved-rate control (Whitney 1969) with damped least squares, through muscles. No learning; it needs the simulator's model.
+"""
+
+import mujoco
+import numpy as np
+from scipy.optimize import nnls
+
+from acgd.config.expert import DaggerConfig
+from acgd.tasks.myodex import MyoDexTask
+
+TIP_UNIT = 0.05
+"""Metres of a fingertip's error that weigh like one radian of a joint's."""
+LOWEST, HIGHEST = 1 / (1 + np.exp(7.5)), 1 / (1 + np.exp(-2.5))
+"""Excitations of the actions -1 and 1."""
+
+
+class MuscleControl:
+    """The teacher in one environment of a pose or reach task; ValueError for other kinds, whose objects it knows nothing of."""
+
+    def __init__(self, env: MyoDexTask, settings: DaggerConfig) -> None:
+        if env.task.kind not in _ERRORS:
+            raise ValueError(f"{env.task.name} has no muscle controller, only pose and reach tasks have: set expert.algorithm to ppo or sac")
+        self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
+        self._moment = np.zeros((env.model.nu, env.model.nv))
+
+    def action(self) -> np.ndarray:
+        """Action (A,) in [-1, 1] for the environment's present state; the simulation does not move."""
+        model, data = self._env.model, self._env.data
+        excitation = np.clip(self._activation(model, data), LOWEST, HIGHEST)  # activations follow within 10 to 60 ms
+        return (np.log(excitation / (1 - excitation)) / 5 + 0.5).astype(np.float32)
+
+    def _activation(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """Wanted activations (M,) in [0, 1]."""
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mju_sparse2dense(self._moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        active, passive = _forces(model, data)
+        damping = model.dof_damping
+        by_activation = (self._moment * active[:, None]).T / damping[:, None]
+        drift = (self._moment.T @ passive + data.qfrc_passive + damping * data.qvel - data.qfrc_bias) / damping
+        error, jacobian = self._error(self._env)
+        still, effort = self._settings.damping, self._settings.effort
+        left = np.vstack([jacobian @ by_activation, still * by_activation, effort * np.eye(model.nu)])
+        right = np.concatenate([self._settings.rate * error - jacobian @ drift, -still * drift, np.zeros(model.nu)])
+        return np.minimum(nnls(left, right, maxiter=10 * model.nu)[0], 1.0)
+
+
+def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Muscle forces (M,) at full activation above, and (M,) at none."""
+    active, passive = np.empty(model.nu), np.empty(model.nu)
+    for i, (length, velocity) in enumerate(zip(data.actuator_length, data.actuator_velocity)):
+        span, strength = model.actuator_lengthrange[i], model.actuator_acc0[i]
+        active[i] = mujoco.mju_muscleGain(length, velocity, span, strength, model.actuator_gainprm[i, :9].copy())
+        passive[i] = mujoco.mju_muscleBias(length, span, strength, model.actuator_biasprm[i, :9].copy())
+    return active, passive
+
+
+def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles that are missing (V,), rad, within the joints' ranges, and their Jacobian."""
+    low, high = env.model.jnt_range.T
+    return np.clip(env.base.target_jnt_value, low, high) - env.data.qpos, np.eye(env.model.nv)
+
+
+def _reach_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors from the five fingertips to their targets (15,), in units of TIP_UNIT, and their Jacobian (15, V)."""
+    tips, targets = env.base.tip_sids, env.base.target_sids
+    jacobian = np.zeros((len(tips), 3, env.model.nv))
+    for site, rows in zip(tips, jacobian):
+        mujoco.mj_jacSite(env.model, env.data, rows, None, site)
+    error = (env.data.site_xpos[targets] - env.data.site_xpos[tips]).ravel()
+    return error / TIP_UNIT, jacobian.reshape(-1, env.model.nv) / TIP_UNIT
+
+
+_ERRORS = {"pose": _pose_error, "reach": _reach_error}
