@@ -102,9 +102,9 @@ def test_proprio_knows_neither_object_nor_goal(envs, name):
     env = envs[name]
     a, b = env.reset(seed=1)[0], env.reset(seed=2)[0]
     assert not np.array_equal(a["state"], b["state"])
-    hand, controls = env.data.qpos[env._hand_qpos].copy(), env.data.ctrl.copy()
+    hand, controls = env.data.qpos[env.hand_qpos].copy(), env.data.ctrl.copy()
     env.reset(seed=1)
-    env.data.qpos[env._hand_qpos], env.data.ctrl[:] = hand, controls
+    env.data.qpos[env.hand_qpos], env.data.ctrl[:] = hand, controls
     import mujoco
 
     mujoco.mj_forward(env.model, env.data)

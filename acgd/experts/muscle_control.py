@@ -27,29 +27,30 @@ LOWEST, HIGHEST = 1 / (1 + np.exp(7.5)), 1 / (1 + np.exp(-2.5))
 
 
 class MuscleControl:
-    """The teacher in one environment of a pose or reach task; ValueError for other kinds, whose objects it knows nothing of."""
+    """The teacher in one environment of a pose, reach or pen task; ValueError for other kinds."""
 
     def __init__(self, env: MyoDexTask, settings: DaggerConfig) -> None:
         if env.task.kind not in _ERRORS:
-            raise ValueError(f"{env.task.name} has no muscle controller, only pose and reach tasks have: set expert.algorithm to ppo or sac")
+            raise ValueError(f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.algorithm to ppo or sac")
         self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
         self._moment = np.zeros((env.model.nu, env.model.nv))
 
     def action(self) -> np.ndarray:
         """Action (A,) in [-1, 1] for the environment's present state; the simulation does not move."""
-        model, data = self._env.model, self._env.data
-        excitation = np.clip(self._activation(model, data), LOWEST, HIGHEST)  # activations follow within 10 to 60 ms
+        excitation = np.clip(self._activation(), LOWEST, HIGHEST)  # activations follow within 10 to 60 ms
         return (np.log(excitation / (1 - excitation)) / 5 + 0.5).astype(np.float32)
 
-    def _activation(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    def _activation(self) -> np.ndarray:
         """Wanted activations (M,) in [0, 1]."""
+        model, data, joints = self._env.model, self._env.data, self._env.hand_qvel
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mju_sparse2dense(self._moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind)
         active, passive = _forces(model, data)
-        damping = model.dof_damping
-        by_activation = (self._moment * active[:, None]).T / damping[:, None]
-        drift = (self._moment.T @ passive + data.qfrc_passive + damping * data.qvel - data.qfrc_bias) / damping
+        damping, arms = model.dof_damping[joints], self._moment[:, joints]
+        by_activation = (arms * active[:, None]).T / damping[:, None]
+        others = arms.T @ passive + data.qfrc_passive[joints] + damping * data.qvel[joints] - data.qfrc_bias[joints]
+        drift = others / damping
         error, jacobian = self._error(self._env)
         still, effort = self._settings.damping, self._settings.effort
         left = np.vstack([jacobian @ by_activation, still * by_activation, effort * np.eye(model.nu)])
@@ -58,7 +59,7 @@ class MuscleControl:
 
 
 def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Muscle forces (M,) at full activation above, and (M,) at none."""
+    """Muscle forces (M,) that full activation adds, and (M,) without any."""
     active, passive = np.empty(model.nu), np.empty(model.nu)
     for i, (length, velocity) in enumerate(zip(data.actuator_length, data.actuator_velocity)):
         span, strength = model.actuator_lengthrange[i], model.actuator_acc0[i]
@@ -68,19 +69,50 @@ def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.
 
 
 def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles that are missing (V,), rad, within the joints' ranges, and their Jacobian."""
+    """Joint angles that are missing (23,), rad, within the joints' ranges, and their Jacobian."""
     low, high = env.model.jnt_range.T
-    return np.clip(env.base.target_jnt_value, low, high) - env.data.qpos, np.eye(env.model.nv)
+    error = np.clip(env.base.target_jnt_value, low, high) - env.data.qpos
+    return error[env.hand_qpos], np.eye(len(env.hand_qpos))
 
 
 def _reach_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors from the five fingertips to their targets (15,), in units of TIP_UNIT, and their Jacobian (15, V)."""
+    """Vectors from the five fingertips to their targets (15,), in units of TIP_UNIT, and their Jacobian (15, 23)."""
     tips, targets = env.base.tip_sids, env.base.target_sids
     jacobian = np.zeros((len(tips), 3, env.model.nv))
     for site, rows in zip(tips, jacobian):
         mujoco.mj_jacSite(env.model, env.data, rows, None, site)
     error = (env.data.site_xpos[targets] - env.data.site_xpos[tips]).ravel()
-    return error / TIP_UNIT, jacobian.reshape(-1, env.model.nv) / TIP_UNIT
+    return error / TIP_UNIT, jacobian[:, :, env.hand_qvel].reshape(error.size, -1) / TIP_UNIT
 
 
-_ERRORS = {"pose": _pose_error, "reach": _reach_error}
+WRIST = 3
+"""Joints before the first finger's in HAND_JOINTS: the wrist's."""
+GRIP = np.zeros(20)
+"""Angles of the fingers' joints, in the order of HAND_JOINTS, rad: ring and little finger lift one end of the pen over the open index finger.
+Found by CMA-ES on training seeds."""
+TURN_RATE = 1.0
+TURN_WEIGHT = 1.0
+
+
+def _pen_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3,), rad, that the pen lacks, left to the wrist, and the fingers' way to GRIP (20,), with their Jacobian (23, 23)."""
+    base, data = env.base, env.data
+    pen, wanted = (_direction(data.site_xpos[top] - data.site_xpos[bottom])
+                   for top, bottom in ((base.obj_t_sid, base.obj_b_sid), (base.tar_t_sid, base.tar_b_sid)))  # fmt: skip
+    axis = np.cross(pen, wanted)
+    rotation = _direction(axis) * np.arctan2(np.linalg.norm(axis), pen @ wanted)
+    jacobian = np.zeros((3, env.model.nv))
+    mujoco.mj_jacBody(env.model, data, None, jacobian, env.model.body("capitate").id)
+    across = np.eye(3) - np.outer(pen, pen)  # turning the pen about itself is free
+    turn = across @ jacobian[:, env.hand_qvel]
+    turn[:, WRIST:] = 0.0
+    fingers = np.eye(len(env.hand_qvel))[WRIST:]
+    error = np.concatenate([TURN_WEIGHT * TURN_RATE * rotation, GRIP - data.qpos[env.hand_qpos][WRIST:]])
+    return error, np.vstack([TURN_WEIGHT * turn, fingers])
+
+
+def _direction(vector: np.ndarray) -> np.ndarray:
+    return vector / max(np.linalg.norm(vector), 1e-9)
+
+
+_ERRORS = {"pose": _pose_error, "reach": _reach_error, "pen-twirl": _pen_error}

@@ -111,7 +111,8 @@ def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> No
     pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))
     for layer, first in pairs:
         layer.load_state_dict(first.state_dict())
-    policy.log_std.data.copy_(expert.log_std)
+    if name != "dagger":  # which did not explore: `initial_std` stays
+        policy.log_std.data.copy_(expert.log_std)
     venv.obs_rms.mean, venv.obs_rms.var = expert.state_mean.double().numpy(), expert.state_std.double().square().numpy()
     venv.obs_rms.count = KNOWN_STATES
 

@@ -74,7 +74,7 @@ class DexterousTask(gymnasium.Env):
         self.ignore_time_limit = False
         self.steps = 0
         self.success = SuccessCounter()
-        self._hand_qpos, self._hand_qvel = scene.robot.qpos, scene.robot.qvel
+        self.hand_qpos, self.hand_qvel = scene.robot.qpos, scene.robot.qvel
         self._low, self._high = self.model.actuator_ctrlrange.T
         self._moving, self._met_steps = self.data.userdata[:-1], self.data.userdata[-1:]  # views
         self._renderer = None
@@ -150,8 +150,8 @@ class DexterousTask(gymnasium.Env):
 
     def _check_start(self) -> None:
         """A scene must start the robot within its joints' ranges."""
-        model, position = self.model, self.data.qpos[self._hand_qpos]
-        joints = model.dof_jntid[self._hand_qvel]
+        model, position = self.model, self.data.qpos[self.hand_qpos]
+        joints = model.dof_jntid[self.hand_qvel]
         low, high = model.jnt_range[joints].T
         outside = (position < low - 1e-6) | (position > high + 1e-6)
         if outside.any():
@@ -187,8 +187,8 @@ class DexterousTask(gymnasium.Env):
 
     def _proprio_entries(self) -> dict[str, np.ndarray]:
         return {
-            "hand_qpos": self.data.qpos[self._hand_qpos],
-            "hand_qvel": self.data.qvel[self._hand_qvel] * self.control_step,
+            "hand_qpos": self.data.qpos[self.hand_qpos],
+            "hand_qvel": self.data.qvel[self.hand_qvel] * self.control_step,
             "targets": self.data.ctrl,
             "moving": self._moving,
         }

@@ -83,7 +83,8 @@ class MyoDexTask(gymnasium.Env):
         self.success = SuccessCounter()
         self._state_size = mujoco.mj_stateSize(self.model, STATE)
         self._suite_draws_goal = spec.name.endswith("-hard")
-        self._hand_qpos, self._hand_qvel = _hand_addresses(self.model)
+        self.hand_qpos, self.hand_qvel = _hand_addresses(self.model)
+        """Addresses of HAND_JOINTS in qpos and qvel."""
         if spec.kind == "obj-hold":
             self.base.nominal_goal = self.model.site_pos[self.base.goal_sid].copy()
         elif spec.kind == "reach":
@@ -118,7 +119,7 @@ class MyoDexTask(gymnasium.Env):
         self.base.reset(seed=seed)
         if self.config.start == "perturbed":
             rng = np.random.default_rng([seed, 1])
-            starts.perturb(self.task.kind, self.base, self._hand_qpos, rng, goal=not self._suite_draws_goal)
+            starts.perturb(self.task.kind, self.base, self.hand_qpos, rng, goal=not self._suite_draws_goal)
         if options and options.get("advance"):
             starts.advance(self.base, options["advance"])
         mujoco.mj_forward(self.model, self.data)
@@ -195,8 +196,8 @@ class MyoDexTask(gymnasium.Env):
         """The privileged state by name; proprio comes first."""
         data, step = self.data, self.control_step
         entries = {
-            "hand_qpos": data.qpos[self._hand_qpos],
-            "hand_qvel": data.qvel[self._hand_qvel] * step,
+            "hand_qpos": data.qpos[self.hand_qpos],
+            "hand_qvel": data.qvel[self.hand_qvel] * step,
             "act": data.act.copy(),
         }
         return entries | _ENTRIES[self.task.kind](self.base, data, step)
