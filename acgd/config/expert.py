@@ -64,8 +64,8 @@ class DaggerConfig(Section):
     width: int = Field(default=256, ge=8, description="Units of the two hidden layers of the policy.")
     learning_rate: float = Field(default=1e-3, gt=0, description="Adam's step size at the start; it falls linearly over the rounds.")
     exploration: float = Field(default=0.1, gt=0, description="Standard deviation of the noise on the policy's actions while it acts.")
-    rate: float = Field(default=4.0, gt=0, description="Share of the error that the teacher would undo in a second.")
-    damping: float = Field(default=1.2, ge=0, description="Weight of the joints' velocity beside the error's.")
+    rate: float = Field(default=8.0, gt=0, description="Share of the error that the teacher would undo in a second.")
+    damping: float = Field(default=1.5, ge=0, description="Weight of the joints' velocity beside the error's.")
     effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
     gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount of the returns that a critic of this expert stands for.")
 
