@@ -215,6 +215,7 @@ def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_n
             ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     with pytest.raises(ValueError, match="warm_start.*ppo"):
         ExpertSettings(algorithm="sac", warm_start="myo/reach")
+    assert ExpertSettings(algorithm="sac", warm_start="dagger", dagger=SMALL_DAGGER).only_used().dagger == SMALL_DAGGER
 
 
 def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
@@ -231,20 +232,45 @@ def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
     assert torch.equal(again.action.weight, expert.action.weight)
 
 
-@pytest.mark.parametrize("task", ["myo/reach", "myo/reach-hard"])
-def test_the_muscle_controller_reaches_and_holds(task):
-    """From nearly all starts; fingertips end well inside the 62.5 mm that count."""
+def test_sac_s_first_steps_are_its_teacher_s(tmp_path):
+    """Near them: noise is added. Without a teacher they are random."""
+    near = {}
+    for first in ("dagger", ""):
+        folder = tmp_path / (first or "random")
+        folder.mkdir()
+        settings = SMALL_SAC.model_copy(update={"steps": 16})
+        request = changed("myo/reach", algorithm="sac", sac=settings, warm_start=first)
+        with open(folder / "log", "w") as log:
+            sac.train_sac(request, folder, Metrics(folder / "metrics.jsonl"), Progress(log))
+        env = StateOnly(request, 0)
+        env.reseed([0, 0, 0])
+        env.reset()
+        tried = np.fromfile(folder / "replay" / "action.f32", np.float32, 39)
+        near[first] = np.square(tried - MuscleControl(env.unwrapped, DaggerConfig()).action()).mean()
+    assert near["dagger"] < 0.15 < 0.5 < near[""]
+
+
+@pytest.mark.parametrize(
+    ("task", "entry", "settings", "most"),
+    [
+        ("myo/reach", "reach_err", DaggerConfig(), 0.03),
+        ("myo/reach-hard", "reach_err", DaggerConfig(), 0.045),
+        ("myo/pose", "pose_err", DaggerConfig(rate=2.5, damping=0.3), 0.55),
+    ],
+)
+def test_the_muscle_controller_gets_there_and_holds(task, entry, settings, most):
+    """From nearly all starts; fingertips end well inside the 62.5 mm that count, joints inside the 0.7 rad."""
     env = StateOnly(changed(task), 0).unwrapped
-    teacher, left, held = MuscleControl(env, DaggerConfig()), [], 0
+    teacher, left, held = MuscleControl(env, settings), [], 0
     for seed in range(5):
         env.reset(seed=seed)
         ended = False
         while not ended:
             observation, _, terminated, truncated, info = env.step(teacher.action())
             ended = terminated or truncated
-        left.append(np.linalg.norm(observation["state"][env.state_layout["reach_err"]]))
+        left.append(np.linalg.norm(observation["state"][env.state_layout[entry]]))
         held += info["success"]["final"] and info["success"]["held"]
-    assert held >= 4 and np.median(left) < 0.045
+    assert held >= 4 and np.median(left) < most
 
 
 def test_the_muscle_controller_leaves_the_simulation_as_it_was():

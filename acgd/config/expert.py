@@ -91,7 +91,7 @@ class ExpertSettings(Section):
     warm_start: str = Field(
         default="",
         description="What PPO's policy starts from: a task whose expert is in zoo/, such as myo/reach for myo/reach-hard, or dagger: "
-        "one that imitates the muscle controller. Empty: from nothing.",
+        "one that imitates the muscle controller, which with SAC acts in the place of random actions. Empty: from nothing.",
     )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
@@ -102,9 +102,11 @@ class ExpertSettings(Section):
     )
 
     @model_validator(mode="after")
-    def _warm_start_is_for_ppo(self) -> "ExpertSettings":
-        if self.warm_start and self.algorithm != "ppo":
-            raise ValueError("expert.warm_start works with expert.algorithm ppo alone: leave it empty, or choose ppo")
+    def _warm_start_fits_the_algorithm(self) -> "ExpertSettings":
+        if self.warm_start and self.algorithm != "ppo" and (self.algorithm, self.warm_start) != ("sac", "dagger"):
+            raise ValueError(
+                "expert.warm_start works with expert.algorithm ppo, and for sac as `dagger`: leave it empty, or choose one of these"
+            )
         return self
 
     @property

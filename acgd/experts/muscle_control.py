@@ -18,12 +18,11 @@ import numpy as np
 from scipy.optimize import nnls
 
 from acgd.config.expert import DaggerConfig
-from acgd.tasks.myodex import HAND_JOINTS, MyoDexTask
+from acgd.experts.postures import CLENCHED, DETOURS, FAR, HOLDING, TURN_RATE, TURN_WEIGHT, TURNING, WRIST
+from acgd.tasks.myodex import MyoDexTask
 
 TIP_UNIT = 0.05
 """Metres of a fingertip's error that weigh like one radian of a joint's."""
-WRIST = 3
-"""Joints before the first finger's in HAND_JOINTS: the wrist's."""
 LOWEST, HIGHEST = 1 / (1 + np.exp(7.5)), 1 / (1 + np.exp(-2.5))
 """Excitations of the actions -1 and 1."""
 
@@ -70,28 +69,15 @@ def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.
     return active, passive
 
 
-CLENCH_STEPS = 27
-"""Control steps at the start of a pose episode in which the fingers clench."""
-CLENCH_GAIN = 2.9
-CLENCH = np.array(
-    [-0.01, 0.48, -0.05, 0.38]  # thumb: cmc_abduction, cmc_flexion, mp_flexion, ip_flexion
-    + [-0.39, -0.10, 0.65]  # index finger: mcp_flexion, pm_flexion, md_flexion
-    + [3.87, 2.41, 2.07]  # middle
-    + [-0.80, -0.57, 0.08]  # ring
-    + [0.05, 2.02, 0.33]  # little
-)
-"""Where the joints of CLENCHED go then, rad; beyond a joint's range they say how hard it pushes. Muscles cannot bend a finger's last joint for
-itself: from an open hand, the way straight to a pose ends beside it. Joint limits take the fingers past that. Found by CMA-ES on training seeds."""
-CLENCHED = [i for i, name in enumerate(HAND_JOINTS) if i == WRIST or (i > WRIST and "abduction" not in name)]
-
-
 def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles that are missing (23,), rad, within the joints' ranges, and their Jacobian."""
     low, high = env.model.jnt_range.T
     error = (np.clip(env.base.target_jnt_value, low, high) - env.data.qpos)[env.hand_qpos]
-    if env.steps < CLENCH_STEPS:
-        error[CLENCHED] = CLENCH - env.data.qpos[env.hand_qpos][CLENCHED]
-        error *= CLENCH_GAIN
+    detour = DETOURS[env.task.name]
+    if env.steps < detour.steps:
+        goal = error + env.data.qpos[env.hand_qpos]
+        error[CLENCHED] = detour.posture + detour.share * goal[CLENCHED] - env.data.qpos[env.hand_qpos][CLENCHED]
+        error *= detour.gain
     return error, np.eye(len(error))
 
 
@@ -105,34 +91,21 @@ def _reach_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
     return error / TIP_UNIT, jacobian[:, :, env.hand_qvel].reshape(error.size, -1) / TIP_UNIT
 
 
-GRIP = np.array(
-    [-2.25, -1.52, 0.88, 1.22]  # thumb: cmc_abduction, cmc_flexion, mp_flexion, ip_flexion
-    + [-1.46, 0.36, -0.66, -0.36]  # index finger: mcp_flexion, mcp_abduction, pm_flexion, md_flexion
-    + [-1.87, 1.20, -1.50, 1.06]  # middle
-    + [0.14, -1.98, -0.82, -0.14]  # ring
-    + [2.88, 1.19, 1.57, 0.34]  # little
-)  # fmt: skip
-"""Angles that the fingers' joints strive for in pen tasks, rad, in the order of HAND_JOINTS; beyond a joint's range they say how hard it pushes.
-The little finger lifts one end of the pen while the others stretch under it. Found by CMA-ES on training seeds, for the most steps in the goal's direction."""
-TURN_RATE, TURN_WEIGHT = 1.1, 2.8
-"""Of the wrist's part in turning the pen, beside the fingers'; found likewise."""
-
-
 def _pen_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation (3,), rad, that the pen lacks, left to the wrist, and the fingers' way to GRIP (20,), with their Jacobian (23, 23)."""
+    """The rotation (3,), rad, that the pen lacks, left to the wrist, and the fingers' way (20,) to their posture, with their Jacobian (23, 23)."""
     base, data = env.base, env.data
     pen, wanted = (_direction(data.site_xpos[top] - data.site_xpos[bottom])
                    for top, bottom in ((base.obj_t_sid, base.obj_b_sid), (base.tar_t_sid, base.tar_b_sid)))  # fmt: skip
     axis = np.cross(pen, wanted)
-    rotation = _direction(axis) * np.arctan2(np.linalg.norm(axis), pen @ wanted)
+    angle = np.arctan2(np.linalg.norm(axis), pen @ wanted)
     jacobian = np.zeros((3, env.model.nv))
     mujoco.mj_jacBody(env.model, data, None, jacobian, env.model.body("capitate").id)
     across = np.eye(3) - np.outer(pen, pen)  # turning the pen about itself is free
     turn = across @ jacobian[:, env.hand_qvel]
     turn[:, WRIST:] = 0.0
-    fingers = np.eye(len(env.hand_qvel))[WRIST:]
-    error = np.concatenate([TURN_WEIGHT * TURN_RATE * rotation, GRIP - data.qpos[env.hand_qpos][WRIST:]])
-    return error, np.vstack([TURN_WEIGHT * turn, fingers])
+    fingers = HOLDING + (TURNING - HOLDING) * min(1.0, angle / FAR)
+    error = np.concatenate([TURN_WEIGHT * TURN_RATE * angle * _direction(axis), fingers - data.qpos[env.hand_qpos][WRIST:]])
+    return error, np.vstack([TURN_WEIGHT * turn, np.eye(len(env.hand_qvel))[WRIST:]])
 
 
 def _direction(vector: np.ndarray) -> np.ndarray:

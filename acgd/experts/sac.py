@@ -14,6 +14,7 @@ import torch
 from acgd.artifacts import checkpoint
 from acgd.config.expert import ExpertRequest, SACConfig
 from acgd.experts.curve import Curve
+from acgd.experts.muscle_control import MuscleControl
 from acgd.experts.policy import Expert
 from acgd.experts.replay import Replay
 from acgd.experts.sac_update import SACUpdate
@@ -21,6 +22,8 @@ from acgd.experts.training_env import StateOnly
 
 SEGMENT = 10_000
 """Environment steps between restarts of all episodes."""
+TEACHER_NOISE = 0.3
+"""Standard deviation of the noise on a teacher's actions."""
 LONGEST_HOLD = 16
 """Steps that exploration noise is held at most."""
 
@@ -32,6 +35,7 @@ def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     """
     settings, sac = config.expert, config.expert.sac
     envs = [StateOnly(config, i) for i in range(sac.envs)]
+    teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start else []
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
     learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed))
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
@@ -46,7 +50,7 @@ def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
         while done < sac.steps:
             before = done
             done = min(before - before % SEGMENT + SEGMENT, sac.steps)
-            _segment(envs, learner, replay, statistics, sac, settings.seed, before, done)
+            _segment(envs, teachers, learner, replay, statistics, sac, settings.seed, before, done)
             told = {}
             if done // settings.evaluate_every > before // settings.evaluate_every or done >= sac.steps:
                 temperature = float(learner.log_temperature.detach().exp())
@@ -62,8 +66,18 @@ def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     return Expert.load(state / "best"), curve.points
 
 
-def _segment(envs: list[StateOnly], learner: SACUpdate, replay: Replay, statistics: "_Statistics", sac: SACConfig, seed: int, first: int, last: int) -> None:
-    """Act and learn from environment step `first` to `last`."""
+def _segment(
+    envs: list[StateOnly],
+    teachers: list[MuscleControl],
+    learner: SACUpdate,
+    replay: Replay,
+    statistics: "_Statistics",
+    sac: SACConfig,
+    seed: int,
+    first: int,
+    last: int,
+) -> None:
+    """Act and learn from environment step `first` to `last`; before learning begins, act like the teachers, if any, or at random."""
     learner.generator.manual_seed(seed * 1_000_003 + first)
     rng = np.random.default_rng([seed, first])
     for i, env in enumerate(envs):
@@ -73,7 +87,10 @@ def _segment(envs: list[StateOnly], learner: SACUpdate, replay: Replay, statisti
     states = np.stack([env.reset()[0] for env in envs])
     noise = _HeldNoise(len(envs), envs[0].action_space.shape[0], sac.hold, rng)
     for step in range(first, last, len(envs)):
-        if step < sac.random_steps:
+        if step < sac.random_steps and teachers:
+            wanted = np.stack([teacher.action() for teacher in teachers])
+            actions = np.clip(wanted + TEACHER_NOISE * noise.next(), -1, 1)
+        elif step < sac.random_steps:
             actions = np.clip(noise.next(), -1, 1)
         else:
             actions = learner.actor.act(states, noise.next())

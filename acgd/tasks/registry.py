@@ -23,7 +23,7 @@ _SPECS = (
     TaskSpec("myo/obj-hold-hard", "myo", "obj-hold", "myoHandObjHoldRandom-v0", 75, _HOLD,
              "varies by up to 3 cm an axis, as does the object's size: marker and object are in the image"),
     TaskSpec("myo/pen-twirl", "myo", "pen-twirl", "myoHandPenTwirlFixed-v0", 50, _PEN,
-             "varies by up to 0.4 rad about two axes: the target pen is in the image"),
+             "varies by up to 0.2 rad about two axes: the target pen is in the image"),
     TaskSpec("myo/pen-twirl-hard", "myo", "pen-twirl", "myoHandPenTwirlRandom-v0", 50, _PEN,
              "varies by up to 1 rad about two axes: the target pen is in the image"),
     TaskSpec("myo/pose", "myo", "pose", "myoHandPoseFixed-v0", 100, _POSE,
