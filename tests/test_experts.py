@@ -17,7 +17,7 @@ from acgd.experts.q_ensemble import Critic
 from acgd.experts.replay import Replay
 from acgd.experts.sac_update import SACUpdate
 from acgd.experts.training_env import StateOnly
-from acgd.students.excitation import excitation
+from acgd.tasks.excitation import excitation
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 

@@ -19,7 +19,7 @@ from acgd.experts.curve import Curve
 from acgd.experts.muscle_control import MuscleControl
 from acgd.experts.policy import STATE_CLIP, Expert
 from acgd.experts.training_env import StateOnly
-from acgd.students.excitation import excitation
+from acgd.tasks.excitation import excitation
 
 ACTION_WEIGHT = 0.1
 """Weight of actions beside excitations in the loss: most of the action range is no excitation at all."""
