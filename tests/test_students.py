@@ -24,12 +24,12 @@ from acgd.students.data import Data
 from acgd.students.decoder import Decoder
 from acgd.students.distil import distil, student_losses, validate
 from acgd.students.ensembling import ensemble
-from acgd.tasks.excitation import excitation
 from acgd.students.guidance import Guidance, gates, ratio_by_task
 from acgd.students.observer import Normaliser, Observation
 from acgd.students.quantizer import Quantizer
 from acgd.students.student import Student
 from acgd.students.training import learning_rate
+from acgd.tasks.excitation import excitation
 from acgd.tracking import metrics
 
 STATES = (9, 12)

@@ -13,9 +13,9 @@ from acgd.config.student import CodebookConfig
 from acgd.students import quantizer
 from acgd.students.action_encoder import ActionEncoder
 from acgd.students.decoder import Decoder
-from acgd.tasks.excitation import measured
 from acgd.students.observer import Observer
 from acgd.students.quantizer import Quantizer
+from acgd.tasks.excitation import measured
 
 WEIGHTS, META = "codebook.safetensors", "codebook.json"
 

@@ -13,10 +13,10 @@ from acgd.config.student import CodebookConfig
 from acgd.students import quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.decoder import Decoder
-from acgd.tasks.excitation import measured
 from acgd.students.latent_encoder import LatentEncoder
 from acgd.students.observer import Observation, Observer
 from acgd.students.quantizer import Quantizer
+from acgd.tasks.excitation import measured
 
 META = "student.json"
 
