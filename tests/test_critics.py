@@ -397,4 +397,4 @@ def test_the_zoos_critic_is_that_of_the_zoos_expert_alone(tmp_path: Path):
     with pytest.raises(ValueError, match="critic.source.*fqe"):
         run(zoo.folder("opdex/spray-2"))
     with pytest.raises(FileNotFoundError, match="critic.source is zoo.*fqe.*opdex-spray-1"):
-        zoo.fitted_critic("myo/pose-hard")
+        zoo.fitted_critic("myo/key-turn-hard")
