@@ -174,7 +174,7 @@ def _chain(plan: Plan, settings: Settings) -> Chain:
 def _expert(each: TaskSettings) -> Artifact:
     """An expert from the zoo depends on the zoo's files, and on no setting of a training that does not happen."""
     if each.expert.source == "train":
-        first = zoo.files(each.expert.warm_start) if each.expert.warm_start not in ("", "dagger") else ()
+        first = zoo.files(each.expert.first_task) if each.expert.first_task else ()
         return Artifact("expert", slug(each.task), ExpertRequest(task=each.task, expert=each.expert.only_used()), {}, first)
     request = ExpertRequest(task=each.task, expert=ExpertSettings(source="zoo"))
     return Artifact("expert", slug(each.task), request, {}, zoo.files(each.task.name))

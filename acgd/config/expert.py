@@ -77,7 +77,7 @@ class ExpertSettings(Section):
         default="zoo", description="zoo: the trained expert in zoo/; train: rebuilt from nothing."
     )
     algorithm: Literal["ppo", "sac", "dagger"] = Field(
-        default="ppo", description="What trains it; used where source is train. dagger: pose and reach tasks only."
+        default="ppo", description="What trains it; used where source is train. dagger: pose, reach and pen tasks only."
     )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="Settings of PPO.")
     sac: SACConfig = Field(default_factory=SACConfig, description="Settings of SAC.")
@@ -108,6 +108,11 @@ class ExpertSettings(Section):
                 "expert.warm_start works with expert.algorithm ppo, and for sac as `dagger`: leave it empty, or choose one of these"
             )
         return self
+
+    @property
+    def first_task(self) -> str:
+        """The task whose expert in zoo/ training starts from; empty where there is none."""
+        return "" if self.warm_start == "dagger" else self.warm_start
 
     @property
     def learner(self) -> PPOConfig | SACConfig | DaggerConfig:

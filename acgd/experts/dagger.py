@@ -17,7 +17,7 @@ from acgd.artifacts.atomic import replace_file
 from acgd.config.expert import DaggerConfig, ExpertRequest
 from acgd.experts.curve import Curve
 from acgd.experts.muscle_control import MuscleControl
-from acgd.experts.policy import STATE_CLIP, Expert
+from acgd.experts.policy import Expert
 from acgd.experts.training_env import StateOnly
 from acgd.tasks.excitation import excitation
 
@@ -43,16 +43,17 @@ def train_dagger(config: ExpertRequest, state: Path, metrics, progress) -> tuple
     if found is not None:
         checkpoint.restore(found[0], expert, optimiser, {})
         done, points = found[1]["rounds"], found[1]["curve"]
+    known = [load_file(_file(state, i)) for i in range(done)]
     curve = Curve(config, state, metrics, points)
     size = dagger.steps // dagger.rounds
     metrics.rewind(done * size)
     with progress(dagger.steps, f"expert {config.task.name}", done=done * size) as bar:
         while done < dagger.rounds:
-            file = state / f"round-{done:03}.safetensors"
+            file = _file(state, done)
             if not file.is_file():
-                states, actions = _round(envs, teachers, None if done == 0 else expert, size, [settings.seed, done])
-                replace_file(file, lambda draft: save_file({"states": states, "actions": actions}, draft))
-            known = [load_file(state / f"round-{i:03}.safetensors") for i in range(done + 1)]
+                new = _round(envs, teachers, None if done == 0 else expert, size, [settings.seed, done])
+                replace_file(file, lambda draft: save_file(new, draft))
+            known.append(load_file(file))
             states, actions = (torch.cat([part[name] for part in known]) for name in ("states", "actions"))
             if done == 0:
                 expert.state_mean.copy_(states.mean(0))
@@ -64,6 +65,11 @@ def train_dagger(config: ExpertRequest, state: Path, metrics, progress) -> tuple
             metrics.flush()
             _save(state, expert, optimiser, {"rounds": done, "curve": curve.points})
     return Expert.load(state / "best"), curve.points
+
+
+def _file(state: Path, number: int) -> Path:
+    """Where the labelled states of a round lie."""
+    return state / f"round-{number:03}.safetensors"
 
 
 def _save(state: Path, expert: Expert, optimiser: torch.optim.Optimizer, notes: dict) -> None:
@@ -79,8 +85,8 @@ def _first(env: StateOnly, dagger: DaggerConfig, seed: int, meta: dict) -> Exper
     return expert
 
 
-def _round(envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert | None, size: int, seed: list[int]) -> tuple[Tensor, Tensor]:
-    """States (N, S) that `expert` visits, or the teacher if None, and the teacher's actions (N, A) in them."""
+def _round(envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert | None, size: int, seed: list[int]) -> dict[str, Tensor]:
+    """`states` (N, S) that `expert` visits, or the teacher if None, and the teacher's `actions` (N, A) in them."""
     rng = np.random.default_rng(seed)
     for i, env in enumerate(envs):
         env.reseed([*seed, i])
@@ -95,7 +101,7 @@ def _round(envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert 
         for i, env in enumerate(envs):
             after, _, terminated, truncated, _ = env.step(taken[i])
             now[i] = env.reset()[0] if terminated or truncated else after
-    return torch.from_numpy(np.concatenate(states)), torch.from_numpy(np.concatenate(actions))
+    return {"states": torch.from_numpy(np.concatenate(states)), "actions": torch.from_numpy(np.concatenate(actions))}
 
 
 def _fit(expert: Expert, optimiser: torch.optim.Optimizer, states: Tensor, actions: Tensor, dagger: DaggerConfig, seed: int, done: int) -> float:
@@ -103,7 +109,7 @@ def _fit(expert: Expert, optimiser: torch.optim.Optimizer, states: Tensor, actio
     for group in optimiser.param_groups:
         group["lr"] = dagger.learning_rate * (1 - done / dagger.rounds)
     generator = torch.Generator().manual_seed(seed * 1_000_003 + done)
-    normal = ((states - expert.state_mean) / expert.state_std).clamp(-STATE_CLIP, STATE_CLIP)
+    normal = expert.normalised(states)
     excitations = excitation(actions)
     expert.requires_grad_(True)
     for _ in range(dagger.epochs):

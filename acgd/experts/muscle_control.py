@@ -19,12 +19,11 @@ from scipy.optimize import nnls
 
 from acgd.config.expert import DaggerConfig
 from acgd.experts.postures import CLENCHED, DETOURS, FAR, HOLDING, TURN_RATE, TURN_WEIGHT, TURNING, WRIST
+from acgd.tasks.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
 TIP_UNIT = 0.05
 """Metres of a fingertip's error that weigh like one radian of a joint's."""
-LOWEST, HIGHEST = 1 / (1 + np.exp(7.5)), 1 / (1 + np.exp(-2.5))
-"""Excitations of the actions -1 and 1."""
 
 
 class MuscleControl:

@@ -44,7 +44,11 @@ class Expert(nn.Module):
 
     def gaussian(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log standard deviation, each (B, A), before actions are brought into the box."""
-        return self.network(((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP))
+        return self.network(self.normalised(state))
+
+    def normalised(self, state: Tensor) -> Tensor:
+        """States (B, S) in units of the training's spread, clipped at STATE_CLIP."""
+        return ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
 
     def network(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
         """`gaussian` for states that are normalised already."""

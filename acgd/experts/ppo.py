@@ -90,8 +90,8 @@ KNOWN_STATES = 100_000
 
 def _first_expert(config: ExpertRequest, state: Path, progress) -> Expert:
     """What the policy starts from: the expert of a task in the zoo, or one that is trained here from the muscle controller."""
-    if config.expert.warm_start != "dagger":
-        return Expert.load(zoo.folder(config.expert.warm_start))
+    if config.expert.first_task:
+        return Expert.load(zoo.folder(config.expert.first_task))
     from acgd.experts.dagger import train_dagger
 
     with Metrics(state / "dagger" / "metrics.jsonl") as own:
@@ -111,7 +111,7 @@ def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> No
     pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))
     for layer, first in pairs:
         layer.load_state_dict(first.state_dict())
-    if name != "dagger":  # which did not explore: `initial_std` stays
+    if expert.meta.get("algorithm") != "dagger":  # which did not explore: `initial_std` stays
         policy.log_std.data.copy_(expert.log_std)
     venv.obs_rms.mean, venv.obs_rms.var = expert.state_mean.double().numpy(), expert.state_std.double().square().numpy()
     venv.obs_rms.count = KNOWN_STATES

@@ -9,16 +9,16 @@ from pathlib import Path
 from scipy.stats import binomtest
 
 from acgd.artifacts.stage import Context, Inputs
+from acgd.artifacts.versions import SIMULATOR
 from acgd.config.expert import ExpertRequest
 from acgd.config.zoo import CRITIC, FILES
+from acgd.config.zoo import ROOT as ZOO
 from acgd.experts.policy import Expert
 from acgd.experts.q_ensemble import WEIGHTS
 from acgd.experts.success import episodes
 from acgd.tasks.registry import TASKS
 from acgd.tasks.seeds import SEEDS
 
-ZOO = Path(__file__).resolve().parents[2] / "zoo"
-SIMULATOR = ("mujoco", "myosuite", "myo-sim")
 ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC", "dagger": "DAgger"}
 
 

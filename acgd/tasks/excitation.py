@@ -2,8 +2,9 @@
 
 from torch import Tensor
 
-_LOW = 1 / (1 + 2.718281828459045**7.5)
-_HIGH = 1 / (1 + 2.718281828459045**-2.5)
+LOWEST = 1 / (1 + 2.718281828459045**7.5)
+HIGHEST = 1 / (1 + 2.718281828459045**-2.5)
+"""Excitations of the actions -1 and 1."""
 
 
 def excitation(action: Tensor) -> Tensor:
@@ -12,7 +13,7 @@ def excitation(action: Tensor) -> Tensor:
     Half of the action range maps to u <= 0.076: there, large differences between actions mean next to nothing.
     """
     u = (5 * (action - 0.5)).sigmoid()
-    return 2 * (u - _LOW) / (_HIGH - _LOW) - 1
+    return 2 * (u - LOWEST) / (HIGHEST - LOWEST) - 1
 
 
 def measured(action: Tensor, space: str) -> Tensor:
