@@ -223,6 +223,8 @@ def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
     tiny = SMALL_DAGGER.model_copy(update={"steps": 32, "rounds": 2})
     request = changed("myo/reach", ppo=SMALL, dagger=tiny, warm_start="dagger")
     assert request.expert.only_used() == request.expert
+    with pytest.raises(ValueError, match="ppo.width 64 must be expert.dagger.width 32"):
+        changed("myo/reach", ppo=SMALL.model_copy(update={"width": 64}), dagger=tiny.model_copy(update={"width": 32}), warm_start="dagger")
     with open(tmp_path / "log", "w") as log:
         expert, points = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
         pupil = Expert.load(tmp_path / "dagger" / "best")
@@ -230,6 +232,31 @@ def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
         shutil.rmtree(tmp_path / "dagger")
         again, _ = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     assert torch.equal(again.action.weight, expert.action.weight)
+
+
+def test_the_value_function_learns_before_a_policy_with_a_warm_start_moves(tmp_path, monkeypatch):
+    """For VALUE_FIRST steps; a run from nothing moves at once."""
+    tiny = SMALL_DAGGER.model_copy(update={"steps": 32, "rounds": 2})
+    moved = {}
+    for first, still in (("dagger", 96), ("dagger", 64), ("", 96)):
+        folder = tmp_path / f"{first}{still}"
+        folder.mkdir()
+        monkeypatch.setattr(ppo, "VALUE_FIRST", still)
+        found = []
+        monkeypatch.setattr(ppo, "_save", lambda state, model, *_: found.append({k: v.clone() for k, v in model.policy.state_dict().items()}))
+        request = changed("myo/reach", ppo=SMALL, dagger=tiny, warm_start=first, checkpoint_every=32)
+        with open(folder / "log", "w") as log:
+            ppo.train_ppo(request, folder, Metrics(folder / "metrics.jsonl"), Progress(log))
+        assert len(found) == 3
+        moved[first, still] = [
+            tuple(not torch.equal(before[name], after[name]) for name in ("action_net.weight", "log_std", "value_net.weight"))
+            for before, after in zip(found, found[1:])
+        ]
+    assert moved == {
+        ("dagger", 96): [(False, False, True), (False, False, True)],
+        ("dagger", 64): [(False, False, True), (True, True, True)],
+        ("", 96): [(True, True, True), (True, True, True)],
+    }
 
 
 def test_sac_s_first_steps_are_its_teacher_s(tmp_path):

@@ -107,6 +107,11 @@ class ExpertSettings(Section):
             raise ValueError(
                 "expert.warm_start works with expert.algorithm ppo, and for sac as `dagger`: leave it empty, or choose one of these"
             )
+        if (self.algorithm, self.warm_start) == ("ppo", "dagger") and self.ppo.width != self.dagger.width:
+            raise ValueError(
+                f"expert.warm_start: PPO goes on with the pupil's network: expert.ppo.width {self.ppo.width} "
+                f"must be expert.dagger.width {self.dagger.width}"
+            )
         return self
 
     @property

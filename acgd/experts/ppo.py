@@ -56,6 +56,7 @@ def train_ppo(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
             np.random.seed((settings.seed * 1_000_003 + before) % 2**32)
             model._last_obs = None  # restart the episodes, as a resumed run has to
             rate.step = before
+            _hold_policy(model, bool(settings.warm_start) and before < VALUE_FIRST)
             model.learn(segment, reset_num_timesteps=False)
             now = model.num_timesteps
             if now // settings.evaluate_every > before // settings.evaluate_every or now >= ppo.steps:
@@ -86,6 +87,18 @@ class _LearningRate:
 
 KNOWN_STATES = 100_000
 """Weight of a first expert's normaliser, in states seen."""
+
+
+VALUE_FIRST = 50_000
+"""Steps in which a policy that has a warm start stands still, and only its value function learns: advantages of an untrained one undo it."""
+
+
+def _hold_policy(model: PPO, still: bool) -> None:
+    """Whether updates leave the policy alone; the normaliser and the value function learn on."""
+    policy = model.policy
+    for part in (policy.mlp_extractor.policy_net, policy.action_net):
+        part.requires_grad_(not still)
+    policy.log_std.requires_grad_(not still)
 
 
 def _first_expert(config: ExpertRequest, state: Path, progress) -> Expert:
