@@ -76,6 +76,29 @@ def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkey
     load_study({"tasks": ["myo/pose"]})
 
 
+@pytest.mark.parametrize(
+    "content, said",
+    [
+        ({"tasks": ["myo/key-turn-hard"], "expert": {"source": "train"}, "critic": {"source": "zoo"}}, "critic.source.*key-turn-hard trains one.*fqe"),
+        ({"tasks": ["myo/key-turn"], "critic": {"source": "expert"}}, "critic.source: the expert in zoo/ for myo/key-turn.*fqe.*myo/obj-hold-hard"),
+        ({"tasks": ["myo/key-turn"], "expert": {"source": "train"}, "critic": {"source": "expert"}}, "critic.source: the expert of myo/key-turn will.*sac"),
+        ({"tasks": ["myo/reach"], "expert": {"source": "train", "warm_start": "myo/flip"}}, "expert.warm_start: .* myo/flip.*myo/reach"),
+    ],
+)
+def test_experts_and_critics_that_do_not_go_together(content, said):
+    with pytest.raises(ConfigError, match=said):
+        load_study(content)
+    load_study({"tasks": ["myo/obj-hold-hard"], "critic": {"source": "expert"}})
+    load_study({"tasks": ["myo/reach-hard"], "expert": {"source": "train", "warm_start": "myo/reach"}})
+
+
+def test_without_a_zoo_critic_the_tasks_that_have_one_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("acgd.config.zoo.has_fitted_critic", lambda task: task == "myo/pose")
+    with pytest.raises(ConfigError, match="critic.source: zoo/ has no critic for myo/reach. .*fqe.*it has: myo/pose"):
+        load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})
+    load_study({"tasks": ["myo/pose"], "critic": {"source": "zoo"}})
+
+
 @pytest.mark.parametrize("text, said", [("a: [", "not readable"), ("- 1", "a list"), ("", "nothing")])
 def test_unreadable_file(tmp_path, text, said):
     file = tmp_path / "study.yaml"

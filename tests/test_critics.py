@@ -396,5 +396,3 @@ def test_the_zoos_critic_is_that_of_the_zoos_expert_alone(tmp_path: Path):
     assert json.loads((out / "quality.json").read_text())["within_state"]["states"] > 1
     with pytest.raises(ValueError, match="critic.source.*fqe"):
         run(zoo.folder("opdex/spray-2"))
-    with pytest.raises(FileNotFoundError, match="critic.source is zoo.*fqe.*opdex-spray-1"):
-        zoo.fitted_critic("myo/key-turn-hard")

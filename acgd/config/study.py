@@ -1,7 +1,7 @@
 """A study: tasks, settings of every stage, student seeds, and the variants that are compared."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -195,13 +195,36 @@ def _faults(settings: Settings) -> Iterator[str]:
     for place, path in _paths(settings):
         if not path.exists():
             yield f"{dotted(place)}: {path} does not exist. Give the path of a file that does; it counts from the folder of config.yaml."
-    lacking = [each.task.name for each in settings.each_task if each.expert.source == "zoo" and zoo.missing(each.task.name)]
-    if lacking:
-        stocked = [name for name in TASKS if not zoo.missing(name)]
-        yield (
-            f"expert.source: zoo/ has no expert for {', '.join(lacking)} ({zoo.folder(lacking[0])} lacks {', '.join(zoo.missing(lacking[0]))}). "
-            f"Set expert.source: train, or take tasks that it has: {', '.join(stocked) or 'none yet'}."
-        )
+    yield from _zoo_faults(settings.each_task)
+
+
+def _zoo_faults(tasks: Sequence[TaskSettings]) -> Iterator[str]:
+    """Experts and critics that are asked for where there are none."""
+    from acgd.tasks.registry import TASKS
+
+    def asked(where: Callable[[TaskSettings], bool]) -> list[str]:
+        return [each.task.name for each in tasks if where(each)]
+
+    def sources(critic: str, expert: str) -> Callable[[TaskSettings], bool]:
+        return lambda each: (each.critic.source, each.expert.source) == (critic, expert)
+
+    wanted = (
+        (asked(lambda each: each.expert.source == "zoo"), zoo.has_expert,
+         "expert.source: zoo/ has no expert for {}. Set expert.source: train, or take tasks that it has: {}."),
+        ([each.expert.first_task for each in tasks if each.expert.source == "train" and each.expert.first_task], zoo.has_expert,
+         "expert.warm_start: zoo/ has no expert for {}. Leave it empty, or take one that it has: {}."),
+        (asked(sources("zoo", "zoo")), zoo.has_fitted_critic,
+         "critic.source: zoo/ has no critic for {}. Set critic.source: fqe, or take tasks whose critics it has: {}."),
+        (asked(sources("expert", "zoo")), zoo.has_own_critics,
+         "critic.source: the expert in zoo/ for {} has no critics of its own, only off-policy ones have. Set critic.source: fqe, or take: {}."),
+    )  # fmt: skip
+    for names, there, fault in wanted:
+        if absent := [name for name in dict.fromkeys(names) if not there(name)]:
+            yield fault.format(", ".join(absent), ", ".join(filter(there, TASKS)) or "none yet")
+    if anew := asked(sources("zoo", "train")):
+        yield f"critic.source: the critics in zoo/ judge the experts there, and {', '.join(anew)} trains one. Set critic.source: fqe, or expert.source: zoo."
+    if on_policy := asked(lambda each: sources("expert", "train")(each) and each.expert.algorithm != "sac"):
+        yield f"critic.source: the expert of {', '.join(on_policy)} will have no critics of its own. Set critic.source: fqe, or expert.algorithm: sac."
 
 
 def _paths(section: BaseModel, place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Path]]:

@@ -18,6 +18,11 @@ def missing(task: str) -> list[str]:
     return [name for name in FILES if not (folder(task) / name).is_file()]
 
 
+def has_expert(task: str) -> bool:
+    """Whether all of them are there."""
+    return not missing(task)
+
+
 def files(task: str) -> tuple[Path, ...]:
     """The files of a task's expert, and of its own critics where it has them."""
     return tuple(folder(task) / name for name in FILES) + tuple(path for name in CRITIC if (path := folder(task) / name).is_file())
@@ -28,10 +33,15 @@ FITTED = ("critic.safetensors", "critic.json", "quality.json", "within_state.csv
 
 
 def fitted_critic(task: str) -> tuple[Path, ...]:
-    """The files of the critic that was fitted to a task's expert. Raises FileNotFoundError where one is missing."""
-    files = tuple(folder(task) / CRITIC_FOLDER / name for name in FITTED)
-    missing = [str(path) for path in files if not path.is_file()]
-    if missing:
-        have = sorted(path.parents[1].name for path in ROOT.glob(f"*/{CRITIC_FOLDER}/{FITTED[0]}"))
-        raise FileNotFoundError(f"critic.source is zoo, but there is no {missing[0]}: set it to fqe, or use a task whose critic is there ({', '.join(have)})")
-    return files
+    """The files of the critic that was fitted to a task's expert."""
+    return tuple(folder(task) / CRITIC_FOLDER / name for name in FITTED)
+
+
+def has_fitted_critic(task: str) -> bool:
+    """Whether the zoo has that critic."""
+    return all(path.is_file() for path in fitted_critic(task))
+
+
+def has_own_critics(task: str) -> bool:
+    """Whether the zoo has the critics that a task's expert learned itself."""
+    return all((folder(task) / name).is_file() for name in CRITIC)
