@@ -1,8 +1,8 @@
 """One update of soft actor-critic, arranged for a CPU core.
 
-Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; Adam and
-the target's average are one fused call each; the networks run in bfloat16 where the settings say so, on copies of
-weights that stay in float32, as do moments, densities and returns.
+Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; the weights of
+a network lie in one vector, so that Adam, the target's average and every change of precision are one call each; the networks
+run in bfloat16 where the settings say so, on copies of weights that stay in float32, as do moments, densities and returns.
 """
 
 import copy
@@ -11,6 +11,7 @@ import math
 import torch
 from torch import Tensor
 from torch.nn import functional as F
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from acgd.artifacts import checkpoint
 from acgd.config.expert import SACConfig
@@ -21,6 +22,9 @@ FIRST_STD = 0.5
 """Of the first policy."""
 FIRST_Q = 0.1
 """Scale of the critics' last layer at first: at 1 their noise leads the policy astray before they have learned anything."""
+
+LOG_UNIT = 0.5 * math.log(2 * math.pi) + 2 * math.log(2)
+"""What every dimension adds to the log density of an action: the Gaussian's norm, and the 4 of tanh'."""
 
 
 class SACUpdate:
@@ -41,11 +45,14 @@ class SACUpdate:
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
         self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature)))
-        self._networks = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        masters = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        self._networks = masters
         if sac.precision == "bfloat16":
-            self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in self._networks.items()}
-        self.weights = {"actor": list(self.actor.parameters()), "critic": list(self.critic.parameters()), "temperature": [self.log_temperature]}
-        self.optimisers = {name: torch.optim.Adam(weights, sac.learning_rate, fused=True) for name, weights in self.weights.items()}
+            self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in masters.items()}
+        self._weights = {name: _joined(network) for name, network in masters.items()}
+        self._used = {name: _joined(network) for name, network in self._networks.items()} if self._networks is not masters else {}
+        learned = {name: torch.nn.Parameter(self._weights[name]) for name in ("actor", "critic")} | {"temperature": self.log_temperature}
+        self.optimisers = {name: torch.optim.Adam([weights], sac.learning_rate, fused=True) for name, weights in learned.items()}
         self.step = 0
 
     def normalise(self, mean: Tensor, std: Tensor, reward_scale: float) -> None:
@@ -81,7 +88,7 @@ class SACUpdate:
             self.log_temperature.grad = surplus
             self.optimisers["temperature"].step()
         with torch.no_grad():
-            torch._foreach_lerp_(list(self.target.parameters()), list(self.critic.parameters()), self.sac.tau)
+            self._weights["target"].lerp_(self._weights["critic"], self.sac.tau)
         self._copy("target")
         self.step += 1
 
@@ -89,25 +96,22 @@ class SACUpdate:
         """Action (B, A) of the policy and its log density (B,), for normalised states (B, S) in the precision of the networks."""
         mean, log_std = (value.float() for value in self._networks["actor"].network(normal_state))
         noise = torch.randn(mean.shape, generator=self.generator)
-        before = mean + log_std.exp() * noise
-        gaussian = -0.5 * noise.square() - log_std - 0.5 * math.log(2 * math.pi)
-        # log(1 - tanh(x)^2), without cancellation
-        squash = 2 * (math.log(2) - before - F.softplus(-2 * before))
-        return torch.tanh(before).to(normal_state.dtype), (gaussian - squash).sum(-1)
+        before = torch.addcmul(mean, log_std.exp(), noise)
+        # -log of the Gaussian's density and of the box's, tanh'(x) = 4 / (exp(x) + exp(-x))^2, without cancellation
+        surprise = torch.addcmul(log_std, noise, noise, value=0.5) - 2 * (before + F.softplus(-2 * before))
+        return torch.tanh(before).to(normal_state.dtype), -surprise.sum(-1) - mean.shape[-1] * LOG_UNIT
 
     def _descend(self, name: str, loss: Tensor) -> None:
-        weights = list(self._networks[name].parameters())
-        for weight, gradient in zip(self.weights[name], torch.autograd.grad(loss, weights)):
-            weight.grad = gradient.float()
-        self.optimisers[name].step()
+        gradients = torch.autograd.grad(loss, list(self._networks[name].parameters()))
+        optimiser = self.optimisers[name]
+        optimiser.param_groups[0]["params"][0].grad = parameters_to_vector(gradients).float()
+        optimiser.step()
         self._copy(name)
 
-    @torch.no_grad()
     def _copy(self, name: str) -> None:
         """Bring the weights of a network into the copy that runs in bfloat16."""
-        master, used = getattr(self, name), self._networks[name]
-        if used is not master:
-            torch._foreach_copy_(list(used.parameters()), list(master.parameters()))
+        if self._used:
+            self._used[name].copy_(self._weights[name])
 
     # -- checkpoint --------------------------------------------------------------------------------
 
@@ -115,7 +119,7 @@ class SACUpdate:
         """Everything that the next updates depend on, besides the generator."""
         tensors = {"log_temperature": self.log_temperature.detach()}
         for name, network in (("actor", self.actor), ("critic", self.critic), ("target", self.target)):
-            tensors |= {f"{name}.{key}": value for key, value in network.state_dict().items()}
+            tensors |= {f"{name}.{key}": value.clone() for key, value in network.state_dict().items()}
         for name, optimiser in self.optimisers.items():
             tensors |= checkpoint.moments_of(optimiser, f"adam.{name}.")
         return tensors
@@ -131,6 +135,14 @@ class SACUpdate:
             checkpoint.restore_moments(optimiser, tensors, f"adam.{name}.")
         for name in self._networks:
             self._copy(name)
+
+
+@torch.no_grad()
+def _joined(network: torch.nn.Module) -> Tensor:
+    """The parameters of `network` as one vector (P,), of which they are views from now on."""
+    weights = parameters_to_vector(network.parameters())
+    vector_to_parameters(weights, network.parameters())
+    return weights
 
 
 def _initialise(actor: Expert, generator: torch.Generator) -> None:
