@@ -72,8 +72,8 @@ def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles that are missing (23,), rad, within the joints' ranges, and their Jacobian."""
     low, high = env.model.jnt_range.T
     error = (np.clip(env.base.target_jnt_value, low, high) - env.data.qpos)[env.hand_qpos]
-    detour = DETOURS[env.task.name]
-    if env.steps < detour.steps:
+    detour = DETOURS.get(env.task.name)
+    if detour and env.steps < detour.steps:
         goal = error + env.data.qpos[env.hand_qpos]
         error[CLENCHED] = detour.posture + detour.share * goal[CLENCHED] - env.data.qpos[env.hand_qpos][CLENCHED]
         error *= detour.gain

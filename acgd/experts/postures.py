@@ -1,4 +1,4 @@
-"""Postures that muscle control strives for on its way, found by CMA-ES on training seeds.
+"""Postures that muscle control strives for on its way, found by CMA-ES on training seeds (detours: acgd/experts/detours.py).
 
 Muscles cannot bend a finger's last joint for itself, nor the thumb's three joints: from an open hand the straight way to a pose ends
 beside it, at 0.9 rad where 0.7 count. Started at the pose, the same controller stays within 0.3 rad. What leads there is a detour: joint limits
