@@ -146,6 +146,17 @@ def test_sac_target_moves_by_tau_and_only_the_critics_step_between_policy_update
         assert torch.allclose(after, before + 0.25 * (critic.detach() - before), atol=1e-6)
 
 
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_sac_s_networks_batches_and_noise_meet_on_its_device(precision, monkeypatch):
+    """On a device without numbers, which refuses to mix with the processor just as a GPU does."""
+    monkeypatch.setattr(torch.optim, "Adam", lambda weights, rate, fused, Adam=torch.optim.Adam: Adam(weights, rate))
+    update = SACUpdate(3, 2, SACConfig(width=16, batch=32, precision=precision), torch.Generator().manual_seed(0), torch.device("meta"))
+    update.normalise(torch.zeros(3), torch.ones(3), 1.0)
+    for _ in range(2):
+        update.update(batch_of(1.0, 0.9))
+    assert update.step == 2 and {value.device.type for value in update.tensors().values() if value.ndim} == {"meta"}
+
+
 def test_squashed_expert_survives_the_disk_and_its_spread_depends_on_the_state(tmp_path):
     expert = Expert(4, 2, 8, {"gamma": 0.9}, squashed=True)
     expert.spread.weight.normal_(generator=torch.Generator().manual_seed(0))

@@ -27,8 +27,11 @@ EPSILON = 1e-4
 """Least standard deviation of a state's normaliser."""
 
 
-def train_dagger(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Expert, list[dict]]:
-    """Train, or go on from the checkpoint in `state`. Returns the best expert and the curve, whose steps are labelled states.
+def train_dagger(
+    config: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
+) -> tuple[Expert, list[dict]]:
+    """Train, or go on from the checkpoint in `state`; the network runs on `device`. Returns the best expert and the curve, whose
+    steps are labelled states.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
@@ -36,7 +39,7 @@ def train_dagger(config: ExpertRequest, state: Path, metrics, progress) -> tuple
     envs = [StateOnly(config, i) for i in range(dagger.envs)]
     teachers = [MuscleControl(env.unwrapped, dagger) for env in envs]
     meta = {"task": config.task.name, "gamma": dagger.gamma, "reward_weights": settings.reward_weights, "algorithm": "dagger"}
-    expert = _first(envs[0], dagger, settings.seed, meta)
+    expert = _first(envs[0], dagger, settings.seed, meta).to(device)
     optimiser = torch.optim.Adam(expert.parameters(), lr=dagger.learning_rate, eps=1e-5)
     found = checkpoint.load(state)
     done, points = 0, []
@@ -54,7 +57,7 @@ def train_dagger(config: ExpertRequest, state: Path, metrics, progress) -> tuple
                 new = _round(envs, teachers, None if done == 0 else expert, size, [settings.seed, done])
                 replace_file(file, lambda draft: save_file(new, draft))
             known.append(load_file(file))
-            states, actions = (torch.cat([part[name] for part in known]) for name in ("states", "actions"))
+            states, actions = (torch.cat([part[name] for part in known]).to(device) for name in ("states", "actions"))
             if done == 0:
                 expert.state_mean.copy_(states.mean(0))
                 expert.state_std.copy_(states.std(0).clamp_min(EPSILON))
@@ -114,7 +117,7 @@ def _fit(expert: Expert, optimiser: torch.optim.Optimizer, states: Tensor, actio
     expert.requires_grad_(True)
     for _ in range(dagger.epochs):
         losses = []
-        for rows in torch.randperm(len(states), generator=generator).split(dagger.batch):
+        for rows in torch.randperm(len(states), generator=generator).to(states.device).split(dagger.batch):
             mean, _ = expert.network(normal[rows])
             loss = (excitation(mean) - excitations[rows]).square().mean() + ACTION_WEIGHT * (mean - actions[rows]).square().mean()
             optimiser.zero_grad()

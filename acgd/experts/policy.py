@@ -66,7 +66,7 @@ class Expert(nn.Module):
     def mean(self, state: np.ndarray) -> np.ndarray:
         """`mean_tensor` for arrays: (B, S) float32 -> (B, A) float32."""
         with torch.no_grad():
-            return self.mean_tensor(torch.from_numpy(np.ascontiguousarray(state, np.float32))).numpy()
+            return self.mean_tensor(self._tensor(state)).cpu().numpy()
 
     def sample(self, state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Stochastic action (B, A): Gaussian, then brought into the box."""
@@ -76,8 +76,12 @@ class Expert(nn.Module):
     def act(self, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Action (B, A) for states (B, S) and standard normal noise (B, A)."""
         with torch.no_grad():
-            mean, log_std = self.gaussian(torch.from_numpy(np.ascontiguousarray(state, np.float32)))
-            return self._into_box(mean + log_std.exp() * torch.from_numpy(noise)).numpy()
+            mean, log_std = self.gaussian(self._tensor(state))
+            return self._into_box(mean + log_std.exp() * self._tensor(noise)).cpu().numpy()
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        """float32, where the weights are."""
+        return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(self.state_mean.device)
 
     def save(self, folder: Path) -> None:
         """Write policy.safetensors and policy.json."""

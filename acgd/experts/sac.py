@@ -28,8 +28,10 @@ LONGEST_HOLD = 16
 """Steps that exploration noise is held at most."""
 
 
-def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Expert, list[dict]]:
-    """Train, or go on from the checkpoint in `state`. Returns the best expert and the learning curve.
+def train_sac(
+    config: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
+) -> tuple[Expert, list[dict]]:
+    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the best expert and the learning curve.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's; its critics lie beside it.
     """
@@ -37,7 +39,7 @@ def train_sac(config: ExpertRequest, state: Path, metrics, progress) -> tuple[Ex
     envs = [StateOnly(config, i) for i in range(sac.envs)]
     teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start else []
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
-    learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed))
+    learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed), device)
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
     statistics = _Statistics(state_dim)
     curve = Curve(config, state, metrics, [])

@@ -34,8 +34,11 @@ class SACUpdate:
     Q / reward_scale, and `Critic.scale` brings them back into reward units.
     """
 
-    def __init__(self, state_dim: int, action_dim: int, sac: SACConfig, generator: torch.Generator) -> None:
-        self.sac, self.generator = sac, generator
+    def __init__(
+        self, state_dim: int, action_dim: int, sac: SACConfig, generator: torch.Generator, device: torch.device = torch.device("cpu")
+    ) -> None:
+        """Networks live on `device`; `generator` on the processor, so that weights and noise are the same everywhere."""
+        self.sac, self.generator, self.device = sac, generator, device
         self.actor = Expert(state_dim, action_dim, sac.width, squashed=True).requires_grad_(True)
         _initialise(self.actor, generator)
         self.critic = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space, generator)
@@ -44,8 +47,8 @@ class SACUpdate:
         self.target = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space)
         self.target.load_state_dict(self.critic.state_dict())
         self.target.requires_grad_(False)
-        self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature)))
-        masters = {"actor": self.actor, "critic": self.critic, "target": self.target}
+        self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature), device=device))
+        masters = {"actor": self.actor.to(device), "critic": self.critic.to(device), "target": self.target.to(device)}
         self._networks = masters
         if sac.precision == "bfloat16":
             self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in masters.items()}
@@ -70,7 +73,7 @@ class SACUpdate:
 
     def update(self, batch: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]) -> None:
         """One step of the critics, every `actor_every` also one of policy and temperature, and one of the targets."""
-        state, action, reward, next_state, discount = batch
+        state, action, reward, next_state, discount = (value.to(self.device) for value in batch)
         state, next_state = self.critic.normalise(state), self.critic.normalise(next_state)
         temperature = self.log_temperature.detach().exp()
         critic, target = self._networks["critic"], self._networks["target"]
@@ -95,7 +98,7 @@ class SACUpdate:
     def sample(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
         """Action (B, A) of the policy and its log density (B,), for normalised states (B, S) in the precision of the networks."""
         mean, log_std = (value.float() for value in self._networks["actor"].network(normal_state))
-        noise = torch.randn(mean.shape, generator=self.generator)
+        noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
         before = torch.addcmul(mean, log_std.exp(), noise)
         # -log of the Gaussian's density and of the box's, tanh'(x) = 4 / (exp(x) + exp(-x))^2, without cancellation
         surprise = torch.addcmul(log_std, noise, noise, value=0.5) - 2 * (before + F.softplus(-2 * before))

@@ -29,7 +29,7 @@ def train(config: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
         return
     from acgd.experts.curve import write_curve
 
-    expert, points = _learn(config)(config, ctx.state, ctx.metrics, ctx.progress)
+    expert, points = _learn(config)(config, ctx.state, ctx.metrics, ctx.progress, ctx.device)
     expert.save(ctx.out)
     for name in CRITIC:
         if (ctx.state / "best" / name).is_file():
