@@ -21,6 +21,7 @@ from acgd.config.student import CodebookConfig, StudentConfig
 from acgd.config.task import TaskConfig
 from acgd.config.variants import expanded
 from acgd.config.vision import BackboneConfig, FeaturesConfig
+from acgd.tasks.spec import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
 Item = TypeVar("Item")
@@ -79,8 +80,6 @@ class Settings(Section):
     @field_validator("tasks")
     @classmethod
     def _known_tasks(cls, tasks: tuple[str, ...]) -> tuple[str, ...]:
-        from acgd.tasks.registry import TASKS
-
         for name in tasks:
             if name not in TASKS:
                 raise ValueError(f"{name!r} is no task. Nearest: {nearest(name, TASKS) or next(iter(TASKS))}. Known: {', '.join(TASKS)}.")
@@ -184,8 +183,6 @@ def load_study(content: Mapping[str, Any]) -> Study:
 
 def _faults(settings: Settings) -> Iterator[str]:
     """Files that the settings name and that are not there; muscles that a robot does not have."""
-    from acgd.tasks.registry import TASKS
-
     if TASKS[settings.tasks[0]].suite != "myo":
         spaces = {"codebook": {settings.codebook.action_space}}
         spaces["critic"] = {each.critic.action_space for each in settings.each_task}
@@ -200,7 +197,6 @@ def _faults(settings: Settings) -> Iterator[str]:
 
 def _zoo_faults(tasks: Sequence[TaskSettings]) -> Iterator[str]:
     """Experts and critics that are asked for where there are none."""
-    from acgd.tasks.registry import TASKS
 
     def asked(where: Callable[[TaskSettings], bool]) -> list[str]:
         return [each.task.name for each in tasks if where(each)]

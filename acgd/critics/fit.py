@@ -18,7 +18,7 @@ from acgd.experts.policy import Expert
 from acgd.experts.q_ensemble import WEIGHTS, Critic
 from acgd.experts.train import check, sha256
 from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.registry import TASKS
+from acgd.tasks.spec import TASKS
 from acgd.tasks.seeds import SEEDS
 from acgd.tracking.progress import Progress
 

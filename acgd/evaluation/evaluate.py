@@ -17,7 +17,7 @@ from acgd.experts.policy import Expert
 from acgd.students import load as load_student
 from acgd.students.acting import Actor
 from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.registry import TASKS
+from acgd.tasks.spec import TASKS
 from acgd.tracking.progress import Bar
 from acgd.vision.backbones import load as load_backbone
 

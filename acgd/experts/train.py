@@ -16,7 +16,7 @@ from acgd.config.zoo import ROOT as ZOO
 from acgd.experts.policy import Expert
 from acgd.experts.q_ensemble import WEIGHTS
 from acgd.experts.success import episodes
-from acgd.tasks.registry import TASKS
+from acgd.tasks.spec import TASKS
 from acgd.tasks.seeds import SEEDS
 
 ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC", "dagger": "DAgger"}

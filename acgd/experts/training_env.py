@@ -1,4 +1,4 @@
-"""What both learners train in: environments of one task with the privileged state alone."""
+"""What every learner trains in: environments of one task with the privileged state alone."""
 
 import gymnasium
 import numpy as np
@@ -6,6 +6,7 @@ import numpy as np
 from acgd.config.expert import ExpertRequest
 from acgd.tasks import registry
 from acgd.tasks.seeds import SEEDS
+from acgd.tasks.spec import TASKS
 
 
 class StateOnly(gymnasium.ObservationWrapper):
@@ -15,7 +16,7 @@ class StateOnly(gymnasium.ObservationWrapper):
         super().__init__(registry.make(config.task, image=False, reward_weights=config.expert.reward_weights))
         self.observation_space = self.env.observation_space["state"]
         self._advanced = config.expert.advanced_starts
-        if self._advanced and registry.TASKS[config.task.name].kind != "pose":
+        if self._advanced and TASKS[config.task.name].kind != "pose":
             raise ValueError(f"{config.task.name} has no start on the way to its goal, only pose tasks have: leave expert.advanced_starts at 0")
         self._rng = np.random.default_rng(stream)
 

@@ -26,7 +26,7 @@ def add_parser(subparsers) -> None:
 
 def _entries():
     from acgd.experts.train import ZOO
-    from acgd.tasks.registry import TASKS
+    from acgd.tasks.spec import TASKS
 
     return [(spec, ZOO / spec.slug) for spec in TASKS.values() if (ZOO / spec.slug).is_dir()]
 

@@ -5,9 +5,9 @@ Importing this module registers them.
 
 import gymnasium
 
-from acgd.tasks import registry
+from acgd.tasks.spec import TASKS
 
-for _spec in registry.TASKS.values():
+for _spec in TASKS.values():
     gymnasium.register(
         id=f"acgd/{_spec.slug}-v0",
         entry_point="acgd.tasks.registry:make",

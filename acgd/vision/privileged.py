@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from acgd.artifacts import checkpoint
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.vision import BackboneConfig, BackboneRequest
-from acgd.tasks.registry import TASKS
+from acgd.tasks.spec import TASKS
 from acgd.vision.augmentation import brighten, shift
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.frames import Frames
