@@ -8,6 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from acgd.config import zoo
 from acgd.config.expert import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
 from acgd.config.task import TaskConfig
 from acgd.experts import dagger, ppo, sac, train
@@ -224,9 +225,27 @@ def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_n
         narrow = changed("myo/reach-hard", warm_start="myo/reach")
         with pytest.raises(ValueError, match="warm_start.*myo/reach.*width"):
             ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
-    with pytest.raises(ValueError, match="warm_start.*ppo"):
-        ExpertSettings(algorithm="sac", warm_start="myo/reach")
+    with pytest.raises(ValueError, match="warm_start.*ppo and sac"):
+        ExpertSettings(algorithm="dagger", warm_start="myo/reach")
     assert ExpertSettings(algorithm="sac", warm_start="dagger", dagger=SMALL_DAGGER).only_used().dagger == SMALL_DAGGER
+
+
+def test_sac_goes_on_from_another_task_s_expert_and_its_critics(tmp_path):
+    """Its first steps are that expert's, with noise; policy and critics are those of the zoo until the first update."""
+    settings = SACConfig(steps=16, envs=2, random_steps=16, width=256, action_space="excitation")
+    request = changed("myo/obj-hold", algorithm="sac", sac=settings, warm_start="myo/obj-hold-hard")
+    first = zoo.folder("myo/obj-hold-hard")
+    with open(tmp_path / "log", "w") as log:
+        expert, _ = sac.train_sac(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
+        known, critics, own = Expert.load(first), Critic.load(first), Critic.load(tmp_path / "best")
+        assert torch.equal(expert.action.weight, known.action.weight) and torch.equal(own.weights[0], critics.weights[0])
+        assert own.scale == pytest.approx(float(critics.scale), rel=0.01) and expert.state_std == pytest.approx(known.state_std, rel=0.01)
+        states = np.fromfile(tmp_path / "replay" / "state.f32", np.float32).reshape(-1, len(known.state_mean))[:8]
+        tried = np.fromfile(tmp_path / "replay" / "action.f32", np.float32).reshape(-1, 39)[:8]
+        assert np.abs(tried - known.mean(states)).mean() < 0.3 < np.abs(tried - known.mean(np.roll(states, 1, 1))).mean()
+        small = changed("myo/obj-hold", algorithm="sac", sac=SMALL_SAC, warm_start="myo/obj-hold-hard")
+        with pytest.raises(ValueError, match="warm_start have other sizes"):
+            sac.train_sac(small, tmp_path / "small", Metrics(tmp_path / "metrics.jsonl"), Progress(log))
 
 
 def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):

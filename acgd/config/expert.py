@@ -90,8 +90,9 @@ class ExpertSettings(Section):
     )
     warm_start: str = Field(
         default="",
-        description="What PPO's policy starts from: a task whose expert is in zoo/, such as myo/reach for myo/reach-hard, or dagger: "
-        "one that imitates the muscle controller, which with SAC acts in the place of random actions. Empty: from nothing.",
+        description="What training by PPO or SAC starts from: a task whose expert by the same algorithm is in zoo/, such as myo/pen-twirl "
+        "for myo/pen-twirl-hard, or dagger: the muscle controller, which PPO's policy imitates at first, and which acts in the place of "
+        "SAC's random actions. Empty: from nothing.",
     )
     seed: int = Field(default=0, ge=0, description="Seed of training.")
     evaluate_every: int = Field(default=50_000, ge=1, description="Steps between points of the learning curve.")
@@ -103,10 +104,8 @@ class ExpertSettings(Section):
 
     @model_validator(mode="after")
     def _warm_start_fits_the_algorithm(self) -> "ExpertSettings":
-        if self.warm_start and self.algorithm != "ppo" and (self.algorithm, self.warm_start) != ("sac", "dagger"):
-            raise ValueError(
-                "expert.warm_start works with expert.algorithm ppo, and for sac as `dagger`: leave it empty, or choose one of these"
-            )
+        if self.warm_start and self.algorithm == "dagger":
+            raise ValueError("expert.warm_start works with expert.algorithm ppo and sac: leave it empty, or choose one of these")
         if (self.algorithm, self.warm_start) == ("ppo", "dagger") and self.ppo.width != self.dagger.width:
             raise ValueError(
                 f"expert.warm_start: PPO goes on with the pupil's network: expert.ppo.width {self.ppo.width} "

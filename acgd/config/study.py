@@ -209,6 +209,8 @@ def _zoo_faults(tasks: Sequence[TaskSettings]) -> Iterator[str]:
          "expert.source: zoo/ has no expert for {}. Set expert.source: train, or take tasks that it has: {}."),
         ([each.expert.first_task for each in tasks if each.expert.source == "train" and each.expert.first_task], zoo.has_expert,
          "expert.warm_start: zoo/ has no expert for {}. Leave it empty, or take one that it has: {}."),
+        ([each.expert.first_task for each in tasks if each.expert.source == "train" and each.expert.algorithm == "sac" and each.expert.first_task],
+         zoo.has_own_critics, "expert.warm_start: the expert in zoo/ for {} has no critics for SAC to go on with. Leave it empty, or take: {}."),
         (asked(sources("zoo", "zoo")), zoo.has_fitted_critic,
          "critic.source: zoo/ has no critic for {}. Set critic.source: fqe, or take tasks whose critics it has: {}."),
         (asked(sources("expert", "zoo")), zoo.has_own_critics,

@@ -12,10 +12,12 @@ import numpy as np
 import torch
 
 from acgd.artifacts import checkpoint
-from acgd.config.expert import ExpertRequest, SACConfig
+from acgd.config import zoo
+from acgd.config.expert import ExpertRequest, ExpertSettings
 from acgd.experts.curve import Curve
 from acgd.experts.muscle_control import MuscleControl
 from acgd.experts.policy import Expert
+from acgd.experts.q_ensemble import Critic
 from acgd.experts.replay import Replay
 from acgd.experts.sac_update import SACUpdate
 from acgd.experts.training_env import StateOnly
@@ -24,6 +26,8 @@ SEGMENT = 10_000
 """Environment steps between restarts of all episodes."""
 TEACHER_NOISE = 0.3
 """Standard deviation of the noise on a teacher's actions."""
+KNOWN = 100_000
+"""Weight of the statistics of an expert that training starts from, in states."""
 LONGEST_HOLD = 16
 """Steps that exploration noise is held at most."""
 
@@ -37,13 +41,17 @@ def train_sac(
     """
     settings, sac = config.expert, config.expert.sac
     envs = [StateOnly(config, i) for i in range(sac.envs)]
-    teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start else []
+    teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start == "dagger" else []
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
     learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed), device)
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
     statistics = _Statistics(state_dim)
     curve = Curve(config, state, metrics, [])
     done = _load(state, learner, replay, statistics, curve)
+    if settings.first_task and not done:
+        first = zoo.folder(settings.first_task)
+        learner.start_from(Expert.load(first), Critic.load(first))
+        statistics.start_from(learner.critic)
     metrics.rewind(done)
     meta = {"task": config.task.name, "gamma": sac.gamma, "reward_weights": settings.reward_weights, "algorithm": "sac"}
     learner.critic.meta = {key: meta[key] for key in ("task", "gamma", "reward_weights")}
@@ -52,7 +60,7 @@ def train_sac(
         while done < sac.steps:
             before = done
             done = min(before - before % SEGMENT + SEGMENT, sac.steps)
-            _segment(envs, teachers, learner, replay, statistics, sac, settings.seed, before, done)
+            _segment(envs, teachers, learner, replay, statistics, settings, before, done)
             told = {}
             if done // settings.evaluate_every > before // settings.evaluate_every or done >= sac.steps:
                 temperature = float(learner.log_temperature.detach().exp())
@@ -74,12 +82,13 @@ def _segment(
     learner: SACUpdate,
     replay: Replay,
     statistics: "_Statistics",
-    sac: SACConfig,
-    seed: int,
+    settings: ExpertSettings,
     first: int,
     last: int,
 ) -> None:
-    """Act and learn from environment step `first` to `last`; before learning begins, act like the teachers, if any, or at random."""
+    """Act and learn from environment step `first` to `last`; before learning begins, act like the teachers, if any, like the expert
+    that training starts from, if any, or at random."""
+    sac, seed = settings.sac, settings.seed
     learner.generator.manual_seed(seed * 1_000_003 + first)
     rng = np.random.default_rng([seed, first])
     for i, env in enumerate(envs):
@@ -92,7 +101,7 @@ def _segment(
         if step < sac.random_steps and teachers:
             wanted = np.stack([teacher.action() for teacher in teachers])
             actions = np.clip(wanted + TEACHER_NOISE * noise.next(), -1, 1)
-        elif step < sac.random_steps:
+        elif step < sac.random_steps and not settings.first_task:
             actions = np.clip(noise.next(), -1, 1)
         else:
             actions = learner.actor.act(states, noise.next())
@@ -136,6 +145,12 @@ class _Statistics:
         self.returns = np.zeros(3)
         """Count, sum and sum of squares."""
         self._running = np.zeros(0)
+
+    def start_from(self, critic: Critic) -> None:
+        """Those that `critic` was learned with, as if KNOWN states and returns had been seen."""
+        std, scale = critic.state_std.double().cpu().numpy(), float(critic.scale)
+        self.count, self.mean, self.square = KNOWN, critic.state_mean.double().cpu().numpy(), KNOWN * std**2
+        self.returns[:] = KNOWN, 0.0, KNOWN * scale**2
 
     def restart(self, envs: int) -> None:
         self._running = np.zeros(envs)

@@ -66,6 +66,18 @@ class SACUpdate:
         self.critic.scale.fill_(reward_scale)
         self.target.scale.fill_(reward_scale)
 
+    def start_from(self, actor: Expert, critic: Critic) -> None:
+        """Adopt the policy and the critics of another expert. Raises ValueError where their sizes differ from these."""
+        for name, found, here in (("policy", actor, self.actor), ("critics", critic, self.critic)):
+            theirs, ours = ({key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (found, here))
+            if theirs != ours or (name == "critics" and found.shape != here.shape):
+                raise ValueError(f"the {name} of expert.warm_start have other sizes: choose an expert of the same kind of task, and its expert.sac.width and action_space")
+        self.actor.load_state_dict(actor.state_dict())
+        for network in (self.critic, self.target):
+            network.load_state_dict(critic.state_dict())
+        for name in self._networks:
+            self._copy(name)
+
     def learning_rate(self, rate: float) -> None:
         """For the updates that follow."""
         for optimiser in self.optimisers.values():
