@@ -41,10 +41,6 @@ MODEL_FIELDS = {
 }  # fmt: skip
 """Fields of mjModel that a reset writes: with the integration state they determine the episode."""
 
-OWN_TERMS = {"pen-twirl": {"speed": lambda data: -float(np.square(data.qvel[-6:-3]).sum())}}
-"""Reward terms that the suite does not have, of weight 0 unless an expert's training names them: minus the pen's squared speed, (m/s)^2,
-which keeps a policy from tossing it."""
-
 FAR = 100.0
 """Metres or radians: an episode in which a joint gets this far ends, unsolved, with no reward in that step."""
 
@@ -74,10 +70,8 @@ class MyoDexTask(gymnasium.Env):
         self.render_mode = "rgb_array"
         self.model, self.data = self.base.model, self.base.data
         self.control_step = float(self.model.opt.timestep * self.base.frame_skip)
-        self._own_terms = OWN_TERMS.get(spec.kind, {})
-        suite = dict(self.base.rwd_keys_wt)
-        self.reward_weights = merge_weights(spec.name, suite | dict.fromkeys(self._own_terms, 0.0), reward_weights)
-        self.base.rwd_keys_wt = {name: self.reward_weights[name] for name in suite}
+        self.reward_weights = merge_weights(spec.name, dict(self.base.rwd_keys_wt), reward_weights)
+        self.base.rwd_keys_wt = self.reward_weights
         self.ignore_time_limit = False
         self.steps = 0
         self.success = SuccessCounter()
@@ -134,10 +128,7 @@ class MyoDexTask(gymnasium.Env):
             terminated, reward, terms = True, 0.0, dict.fromkeys(self.reward_weights, 0.0)
             self.success.update(False)
         else:
-            terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.base.rwd_keys_wt}
-            for name, term in self._own_terms.items():
-                terms[name] = term(self.data)
-                reward += self.reward_weights[name] * terms[name]
+            terms = {k: float(np.asarray(info["rwd_dict"][k]).item()) for k in self.reward_weights}
             self.success.update(bool(info["solved"]))
         truncated = self.steps >= self.task.horizon and not terminated and not self.ignore_time_limit
         out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
