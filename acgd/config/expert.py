@@ -42,7 +42,7 @@ class SACConfig(Section):
         default="raw", description="Critics read actions as they are, or as the muscle excitation that MyoSuite makes of them."
     )
     learning_rate: float = Field(default=3e-4, gt=0, description="Adam's step size at the start.")
-    learning_rate_end: float = Field(default=3e-4, gt=0, description="Adam's step size at the end; linear between.")
+    learning_rate_end: float = Field(default=3e-5, gt=0, description="Adam's step size at the end; linear between.")
     gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount.")
     tau: float = Field(default=0.005, gt=0, le=1, description="Share of the critics that enters their targets at an update.")
     temperature: float = Field(default=0.01, gt=0, description="First weight of the entropy; tuned from there.")
