@@ -77,7 +77,7 @@ class ExpertSettings(Section):
         default="zoo", description="zoo: the trained expert in zoo/; train: rebuilt from nothing."
     )
     algorithm: Literal["ppo", "sac", "dagger"] = Field(
-        default="ppo", description="What trains it; used where source is train. dagger: pose, reach and pen tasks only."
+        default="ppo", description="What trains it; used where source is train. dagger: pose and reach tasks only."
     )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="Settings of PPO.")
     sac: SACConfig = Field(default_factory=SACConfig, description="Settings of SAC.")

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from acgd.config.expert import DaggerConfig
-from acgd.experts.postures import CLENCHED, DETOURS, FAR, HOLDING, TURN_RATE, TURN_WEIGHT, TURNING, WRIST
+from acgd.experts.detours import CLENCHED, DETOURS
 from acgd.tasks.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
@@ -27,7 +27,7 @@ TIP_UNIT = 0.05
 
 
 class MuscleControl:
-    """The teacher in one environment of a pose, reach or pen task; ValueError for other kinds."""
+    """The teacher in one environment of a pose or reach task; ValueError for other kinds."""
 
     def __init__(self, env: MyoDexTask, settings: DaggerConfig) -> None:
         if env.task.kind not in _ERRORS:
@@ -90,25 +90,4 @@ def _reach_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
     return error / TIP_UNIT, jacobian[:, :, env.hand_qvel].reshape(error.size, -1) / TIP_UNIT
 
 
-def _pen_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation (3,), rad, that the pen lacks, left to the wrist, and the fingers' way (20,) to their posture, with their Jacobian (23, 23)."""
-    base, data = env.base, env.data
-    pen, wanted = (_direction(data.site_xpos[top] - data.site_xpos[bottom])
-                   for top, bottom in ((base.obj_t_sid, base.obj_b_sid), (base.tar_t_sid, base.tar_b_sid)))  # fmt: skip
-    axis = np.cross(pen, wanted)
-    angle = np.arctan2(np.linalg.norm(axis), pen @ wanted)
-    jacobian = np.zeros((3, env.model.nv))
-    mujoco.mj_jacBody(env.model, data, None, jacobian, env.model.body("capitate").id)
-    across = np.eye(3) - np.outer(pen, pen)  # turning the pen about itself is free
-    turn = across @ jacobian[:, env.hand_qvel]
-    turn[:, WRIST:] = 0.0
-    fingers = HOLDING + (TURNING - HOLDING) * min(1.0, angle / FAR)
-    error = np.concatenate([TURN_WEIGHT * TURN_RATE * angle * _direction(axis), fingers - data.qpos[env.hand_qpos][WRIST:]])
-    return error, np.vstack([TURN_WEIGHT * turn, np.eye(len(env.hand_qvel))[WRIST:]])
-
-
-def _direction(vector: np.ndarray) -> np.ndarray:
-    return vector / max(np.linalg.norm(vector), 1e-9)
-
-
-_ERRORS = {"pose": _pose_error, "reach": _reach_error, "pen-twirl": _pen_error}
+_ERRORS = {"pose": _pose_error, "reach": _reach_error}

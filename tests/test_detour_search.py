@@ -5,8 +5,8 @@ import pytest
 
 from acgd.config.expert import DaggerConfig
 from acgd.config.task import TaskConfig
-from acgd.experts import detours
-from acgd.experts.postures import CLENCHED, DETOURS, Detour
+from acgd.experts import detour_search
+from acgd.experts.detours import CLENCHED, DETOURS, Detour
 from acgd.tasks import registry
 from acgd.tasks.seeds import SEEDS
 
@@ -18,25 +18,25 @@ def test_the_shipped_detour_scores_better_than_the_straight_way():
     env = registry.make(TaskConfig(name="myo/pose"), image=False)
     seeds, known = SEEDS.expert_training.take(3), DETOURS["myo/pose"]
     straight = Detour(steps=0, gain=1.0, posture=np.zeros(len(CLENCHED)), share=np.ones(len(CLENCHED)))
-    assert detours.score(env, known, TEACHER, seeds) < 0.9 < 1.3 < detours.score(env, straight, TEACHER, seeds)
+    assert detour_search.score(env, known, TEACHER, seeds) < 0.9 < 1.3 < detour_search.score(env, straight, TEACHER, seeds)
     assert DETOURS["myo/pose"] is known
 
 
 def test_a_search_repeats_itself_and_moves():
     """From FIRST, by more than nothing and less than its spread."""
     one, two = (
-        [next(found) for _ in range(2)][-1] for found in (detours.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
+        [next(found) for _ in range(2)][-1] for found in (detour_search.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
     )
     assert np.array_equal(one.detour.posture, two.detour.posture) and (one.score, one.rate) == (two.score, two.rate)
-    assert 0 < np.abs(one.detour.posture).max() < 3 * detours.SPREAD and one.generation == 2
+    assert 0 < np.abs(one.detour.posture).max() < 3 * detour_search.SPREAD and one.generation == 2
 
 
 def test_vector_and_detour_are_inverse():
-    detour, settings = detours._teacher(detours._vector(), TEACHER)
+    detour, settings = detour_search._teacher(detour_search._vector(), TEACHER)
     assert (detour.steps, detour.gain, settings.rate) == pytest.approx((20, 3.0, 2.5))
     assert set(detour.posture) == {0.0} and set(detour.share) == {1.3}
 
 
 def test_other_tasks_are_refused():
     with pytest.raises(ValueError, match="myo/reach.*pose tasks"):
-        next(detours.search("myo/reach", TEACHER))
+        next(detour_search.search("myo/reach", TEACHER))
