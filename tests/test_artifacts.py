@@ -316,6 +316,20 @@ def test_a_job_refuses_a_request_that_its_key_does_not_belong_to(store, study):
         job.make(described, store, threads=1, device="cpu")
 
 
+def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store, monkeypatch):
+    """The process that makes them finds the key that the plan has; so does a training that starts from an expert of the zoo."""
+    monkeypatch.setattr("acgd.experts.train.train", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w"))
+    monkeypatch.setattr("acgd.critics.fit.fit", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w"))
+    zoos = plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}}))
+    warm = plan(load_study({"tasks": ["myo/pen-twirl-hard"], "expert": {"source": "train", "algorithm": "sac", "warm_start": "myo/pen-twirl"}}))
+    made = [zoos.names["base/expert"][0], zoos.names["base/critic"][0], warm.names["base/expert"][0]]
+    for artifact in made:
+        job.make(json.loads(artifact.job), store, threads=1, device="cpu")
+        check(store.path(artifact.place))
+    monkeypatch.setattr("acgd.config.zoo.fitted_critic", lambda task: (ROOT / "Makefile",))
+    assert plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})).names["base/critic"][0].key != made[1].key
+
+
 def test_a_job_refuses_damaged_inputs_before_it_starts(store, study):
     expert, critic = study.names["base/expert"][0], study.names["base/critic"][0]
     with pytest.raises(ArtifactError, match="no such artifact"):

@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 from acgd.artifacts.key import canonical, identity, in_key, key_of
 from acgd.config import zoo
@@ -29,12 +28,10 @@ class Artifact:
     name: str
     request: Section
     inputs: Upstream
-    files: tuple[Path, ...] = ()
-    """Files outside the store that the stage reads, besides those that the request names by a path."""
 
     @cached_property
     def key(self) -> str:
-        return key_of(identity(self.stage, self.request, self.input_keys, self.files))
+        return key_of(identity(self.stage, self.request, self.input_keys, zoo.read_by(self.stage, self.request)))
 
     @property
     def place(self) -> str:
@@ -174,17 +171,16 @@ def _chain(plan: Plan, settings: Settings) -> Chain:
 def _expert(each: TaskSettings) -> Artifact:
     """An expert from the zoo depends on the zoo's files, and on no setting of a training that does not happen."""
     if each.expert.source == "train":
-        first = zoo.files(each.expert.first_task) if each.expert.first_task else ()
-        return Artifact("expert", slug(each.task), ExpertRequest(task=each.task, expert=each.expert.only_used()), {}, first)
+        return Artifact("expert", slug(each.task), ExpertRequest(task=each.task, expert=each.expert.only_used()), {})
     request = ExpertRequest(task=each.task, expert=ExpertSettings(source="zoo"))
-    return Artifact("expert", slug(each.task), request, {}, zoo.files(each.task.name))
+    return Artifact("expert", slug(each.task), request, {})
 
 
 def _critic(each: TaskSettings, expert: Artifact) -> Artifact:
     """A critic from the zoo depends on its files, and on no setting of a fit that does not happen."""
     if each.critic.source == "zoo":
         request = CriticRequest(task=each.task, critic=CriticConfig(source="zoo"))
-        return Artifact("critic", slug(each.task), request, {"expert": expert}, zoo.fitted_critic(each.task.name))
+        return Artifact("critic", slug(each.task), request, {"expert": expert})
     return Artifact("critic", slug(each.task), CriticRequest(task=each.task, critic=each.critic), {"expert": expert})
 
 

@@ -40,7 +40,7 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
     stage, place = job["stage"], f"{job['stage']}/{job['name']}/{job['key']}"
     request_type, function = STAGES[stage]
     request = _imported(request_type).model_validate(job["request"])
-    described = identity(stage, request, _keys(job["inputs"]), _zoo_files(stage, request))
+    described = identity(stage, request, _keys(job["inputs"]), zoo.read_by(stage, request))
     if key_of(described) != job["key"]:
         raise ArtifactError(f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again.")
     inputs = _inputs(job["inputs"], store)
@@ -68,10 +68,6 @@ def _inputs(places: Mapping[str, Any], store: Store) -> Inputs:
         for path in given if isinstance(given, list) else [given]:
             check(path)
     return paths
-
-
-def _zoo_files(stage: str, request: Any) -> tuple[Path, ...]:
-    return zoo.files(request.task.name) if stage == "expert" and request.expert.source == "zoo" else ()
 
 
 def _context(space: Workspace, threads: int, device: str) -> Context:

@@ -1,6 +1,7 @@
 """Where the trained experts that come with the product lie."""
 
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
@@ -35,6 +36,14 @@ FITTED = ("critic.safetensors", "critic.json", "quality.json", "within_state.csv
 def fitted_critic(task: str) -> tuple[Path, ...]:
     """The files of the critic that was fitted to a task's expert."""
     return tuple(folder(task) / CRITIC_FOLDER / name for name in FITTED)
+
+
+def read_by(stage: str, request: Any) -> tuple[Path, ...]:
+    """The files that an artifact is made from, besides its inputs: they are part of its key."""
+    if stage == "expert":
+        task = request.task.name if request.expert.source == "zoo" else request.expert.first_task
+        return files(task) if task else ()
+    return fitted_critic(request.task.name) if stage == "critic" and request.critic.source == "zoo" else ()
 
 
 def has_fitted_critic(task: str) -> bool:
