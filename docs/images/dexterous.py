@@ -9,11 +9,12 @@ import matplotlib.pyplot as plt
 
 from acgd.config.task import TaskConfig
 from acgd.tasks import registry
+from acgd.tasks.spec import TASKS
 from tests.open_loop import SOLUTIONS, follow
 
 SEED = 7
 """The start that is drawn."""
-ORDER = [name for name, spec in registry.TASKS.items() if spec.suite != "myo"]
+ORDER = [name for name, spec in TASKS.items() if spec.suite != "myo"]
 
 figure, axes = plt.subplots(2, len(ORDER), figsize=(2 * len(ORDER), 4.4))
 for (above, below), name in zip(axes.T, ORDER):

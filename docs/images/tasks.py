@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from acgd.tasks import registry
+from acgd.tasks.spec import TASKS
 
 SEED = 3
 """The start that is drawn."""
@@ -16,7 +17,7 @@ STEPS = 4
 """Control steps of a resting hand before the picture."""
 
 figure, axes = plt.subplots(2, 5, figsize=(10, 4.4))
-order = [name for name, spec in registry.TASKS.items() if spec.suite == "myo" and not name.endswith("-hard")]
+order = [name for name, spec in TASKS.items() if spec.suite == "myo" and not name.endswith("-hard")]
 for axis, name in zip(axes.flat, order + [f"{name}-hard" for name in order]):
     env = registry.make(name)
     env.reset(seed=SEED)
