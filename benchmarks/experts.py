@@ -18,7 +18,7 @@ from benchmarks.row import Row
 
 STATE_DIM, ACTION_DIM = 115, 39
 """Those of myo/reach."""
-ROUNDS, UPDATES = 9, 10
+ROUNDS, UPDATES = 25, 10
 """The median round counts; the two take turns, so that other work on the machine slows both."""
 TASK = "myo/obj-hold"
 STEPS = 400
