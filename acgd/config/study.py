@@ -204,13 +204,14 @@ def _zoo_faults(tasks: Sequence[TaskSettings]) -> Iterator[str]:
     def sources(critic: str, expert: str) -> Callable[[TaskSettings], bool]:
         return lambda each: (each.critic.source, each.expert.source) == (critic, expert)
 
+    first = [each.expert for each in tasks if each.expert.source == "train" and each.expert.first_task]
     wanted = (
         (asked(lambda each: each.expert.source == "zoo"), zoo.has_expert,
          "expert.source: zoo/ has no expert for {}. Set expert.source: train, or take tasks that it has: {}."),
-        ([each.expert.first_task for each in tasks if each.expert.source == "train" and each.expert.first_task], zoo.has_expert,
+        ([expert.first_task for expert in first], zoo.has_expert,
          "expert.warm_start: zoo/ has no expert for {}. Leave it empty, or take one that it has: {}."),
-        ([each.expert.first_task for each in tasks if each.expert.source == "train" and each.expert.algorithm == "sac" and each.expert.first_task],
-         zoo.has_own_critics, "expert.warm_start: the expert in zoo/ for {} has no critics for SAC to go on with. Leave it empty, or take: {}."),
+        ([expert.first_task for expert in first if expert.algorithm == "sac"], zoo.has_own_critics,
+         "expert.warm_start: the expert in zoo/ for {} has no critics for SAC to go on with. Leave it empty, or take: {}."),
         (asked(sources("zoo", "zoo")), zoo.has_fitted_critic,
          "critic.source: zoo/ has no critic for {}. Set critic.source: fqe, or take tasks whose critics it has: {}."),
         (asked(sources("expert", "zoo")), zoo.has_own_critics,

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 
 STATE_CLIP = 10.0
 """Normalised states are clipped to this many standard deviations, as in training."""
+KNOWN_STATES = 100_000
+"""Weight of the statistics of an expert that training starts from, in states seen."""
 LOG_STD = (-5.0, 1.0)
 """Bounds of a squashed policy's log standard deviation."""
 

@@ -19,7 +19,7 @@ from acgd.artifacts.atomic import replace_file
 from acgd.config import zoo
 from acgd.config.expert import ExpertRequest, PPOConfig
 from acgd.experts.curve import Curve
-from acgd.experts.policy import STATE_CLIP, Expert
+from acgd.experts.policy import KNOWN_STATES, STATE_CLIP, Expert
 from acgd.experts.training_env import StateOnly
 from acgd.tracking.metrics import Metrics
 
@@ -86,10 +86,6 @@ class _LearningRate:
     def __call__(self, _: float) -> float:
         left = max(0.0, 1.0 - self.step / self._ppo.steps)
         return self._ppo.learning_rate_end + (self._ppo.learning_rate - self._ppo.learning_rate_end) * left
-
-
-KNOWN_STATES = 100_000
-"""Weight of a first expert's normaliser, in states seen."""
 
 
 VALUE_FIRST = 50_000

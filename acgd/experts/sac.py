@@ -16,7 +16,7 @@ from acgd.config import zoo
 from acgd.config.expert import ExpertRequest, ExpertSettings
 from acgd.experts.curve import Curve
 from acgd.experts.muscle_control import MuscleControl
-from acgd.experts.policy import Expert
+from acgd.experts.policy import KNOWN_STATES, Expert
 from acgd.experts.q_ensemble import Critic
 from acgd.experts.replay import Replay
 from acgd.experts.sac_update import SACUpdate
@@ -26,8 +26,6 @@ SEGMENT = 10_000
 """Environment steps between restarts of all episodes."""
 TEACHER_NOISE = 0.3
 """Standard deviation of the noise on a teacher's actions."""
-KNOWN = 100_000
-"""Weight of the statistics of an expert that training starts from, in states."""
 LONGEST_HOLD = 16
 """Steps that exploration noise is held at most."""
 
@@ -147,10 +145,10 @@ class _Statistics:
         self._running = np.zeros(0)
 
     def start_from(self, critic: Critic) -> None:
-        """Those that `critic` was learned with, as if KNOWN states and returns had been seen."""
+        """Those that `critic` was learned with, as if KNOWN_STATES states and returns had been seen."""
         std, scale = critic.state_std.double().cpu().numpy(), float(critic.scale)
-        self.count, self.mean, self.square = KNOWN, critic.state_mean.double().cpu().numpy(), KNOWN * std**2
-        self.returns[:] = KNOWN, 0.0, KNOWN * scale**2
+        self.count, self.mean, self.square = KNOWN_STATES, critic.state_mean.double().cpu().numpy(), KNOWN_STATES * std**2
+        self.returns[:] = KNOWN_STATES, 0.0, KNOWN_STATES * scale**2
 
     def restart(self, envs: int) -> None:
         self._running = np.zeros(envs)
