@@ -198,6 +198,17 @@ def test_the_fixed_pose_can_be_held():
     assert all(solved)
 
 
+@pytest.mark.parametrize("name, goal", [("myo/key-turn", np.pi), ("myo/key-turn-hard", 2 * np.pi)])
+def test_key_turn_tasks_can_start_on_the_way_to_their_goal(envs, name, goal):
+    env = envs[name]
+    angle = {}
+    for share in (0.0, 0.5, 1.0):
+        state = env.reset(seed=3, options={"advance": share})[0]["state"]
+        angle[share] = state[env.state_layout["key_qpos"]][0]
+    assert angle[0.0] < 1.6 and angle[1.0] == pytest.approx(goal, abs=0.01)
+    assert angle[0.5] == pytest.approx((angle[0.0] + goal) / 2, abs=0.01)
+
+
 @pytest.mark.parametrize("name", ["myo/pose", "myo/pose-hard"])
 def test_pose_tasks_can_start_on_the_way_to_their_goal(envs, name):
     env = envs[name]

@@ -86,7 +86,7 @@ class ExpertSettings(Section):
         default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
     )
     advanced_starts: float = Field(
-        default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal pose; pose tasks only."
+        default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or a key's angle; pose and key-turn tasks only."
     )
     warm_start: str = Field(
         default="",

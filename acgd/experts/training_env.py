@@ -7,6 +7,7 @@ from acgd.config.expert import ExpertRequest
 from acgd.tasks import registry
 from acgd.tasks.seeds import SEEDS
 from acgd.tasks.spec import TASKS
+from acgd.tasks.starts import ADVANCED_KINDS
 
 
 class StateOnly(gymnasium.ObservationWrapper):
@@ -16,8 +17,10 @@ class StateOnly(gymnasium.ObservationWrapper):
         super().__init__(registry.make(config.task, image=False, reward_weights=config.expert.reward_weights))
         self.observation_space = self.env.observation_space["state"]
         self._advanced = config.expert.advanced_starts
-        if self._advanced and TASKS[config.task.name].kind != "pose":
-            raise ValueError(f"{config.task.name} has no start on the way to its goal, only pose tasks have: leave expert.advanced_starts at 0")
+        if self._advanced and TASKS[config.task.name].kind not in ADVANCED_KINDS:
+            raise ValueError(
+                f"{config.task.name} has no start on the way to its goal, only {' and '.join(ADVANCED_KINDS)} tasks have: leave expert.advanced_starts at 0"
+            )
         self._rng = np.random.default_rng(stream)
 
     def reseed(self, entropy: list[int]) -> None:

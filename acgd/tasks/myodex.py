@@ -103,7 +103,7 @@ class MyoDexTask(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Start an episode; the same seed gives the same start, whatever came before.
 
-        `options={"advance": x}` puts the hand x of the way from there to the goal, for training; pose tasks only.
+        `options={"advance": x}` starts x of the way from there to the goal, for training; see `starts.ADVANCED_KINDS`.
         """
         super().reset(seed=seed)
         if seed is None:
@@ -115,7 +115,7 @@ class MyoDexTask(gymnasium.Env):
             rng = np.random.default_rng([seed, 1])
             starts.perturb(self.task.kind, self.base, self.hand_qpos, rng, goal=not self._suite_draws_goal)
         if options and options.get("advance"):
-            starts.advance(self.base, options["advance"])
+            starts.advance(self.task.kind, self.base, options["advance"])
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}

@@ -32,11 +32,9 @@ def perturb(kind: str, base, hand_qpos: np.ndarray, rng: np.random.Generator, *,
     _KINDS[kind](base, rng, goal)
 
 
-def advance(base, share: float) -> None:
-    """Put the hand of a pose task `share` of the way from where it is to its goal."""
-    low, high = base.model.jnt_range.T
-    goal = np.clip(base.target_jnt_value, low, high)
-    base.data.qpos[:] += share * (goal - base.data.qpos)
+def advance(kind: str, base, share: float) -> None:
+    """Put the hand of a pose task, or the key of a key-turn task, `share` of the way from where it is to its goal."""
+    _ADVANCED[kind](base, share)
 
 
 def _hand(base, hand_qpos: np.ndarray, std: float, rng: np.random.Generator) -> None:
@@ -91,4 +89,17 @@ def _reach(base, rng: np.random.Generator, goal: bool) -> None:
         base.model.site_pos[base.target_sids] = base.nominal_goal + offset
 
 
+def _advance_key(base, share: float) -> None:
+    base.data.qpos[-1] += share * (base.goal_th - base.data.qpos[-1])
+
+
+def _advance_pose(base, share: float) -> None:
+    low, high = base.model.jnt_range.T
+    goal = np.clip(base.target_jnt_value, low, high)
+    base.data.qpos[:] += share * (goal - base.data.qpos)
+
+
 _KINDS = {"key-turn": _key, "obj-hold": _hold, "pen-twirl": _pen, "pose": _pose, "reach": _reach}
+_ADVANCED = {"key-turn": _advance_key, "pose": _advance_pose}
+ADVANCED_KINDS = tuple(_ADVANCED)
+"""Tasks with starts on the way to their goal."""
