@@ -14,8 +14,8 @@ import numpy as np
 
 from acgd.config.expert import DaggerConfig
 from acgd.config.task import TaskConfig
-from acgd.experts import muscle_control
-from acgd.experts.detours import CLENCHED, DETOURS, Detour
+from acgd.experts.detours import CLENCHED, Detour
+from acgd.experts.muscle_control import MuscleControl
 from acgd.tasks import registry
 from acgd.tasks.myodex import MyoDexTask
 from acgd.tasks.seeds import SEEDS
@@ -58,22 +58,14 @@ def search(task: str, settings: DaggerConfig, *, population: int = 16, episodes:
 
 def score(env: MyoDexTask, detour: Detour, settings: DaggerConfig, seeds: list[int]) -> float:
     """How far from their goals episodes end, rad, and 1 for those beyond SOLVED; the mean over `seeds`, less is better."""
-    known = DETOURS.get(env.task.name)
-    DETOURS[env.task.name] = detour
-    try:
-        teacher, errors = muscle_control.MuscleControl(env, settings), []
-        for seed in seeds:
-            env.reset(seed=seed)
-            ended = False
-            while not ended:
-                _, _, terminated, truncated, _ = env.step(teacher.action())
-                ended = terminated or truncated
-            errors.append(np.linalg.norm(env.base.target_jnt_value - env.data.qpos))
-    finally:
-        if known is None:
-            del DETOURS[env.task.name]
-        else:
-            DETOURS[env.task.name] = known
+    teacher, errors = MuscleControl(env, settings, detour), []
+    for seed in seeds:
+        env.reset(seed=seed)
+        ended = False
+        while not ended:
+            _, _, terminated, truncated, _ = env.step(teacher.action())
+            ended = terminated or truncated
+        errors.append(np.linalg.norm(env.base.target_jnt_value - env.data.qpos))
     errors = np.array(errors)
     return float(np.mean(np.minimum(errors, FAR) + 1 / (1 + np.exp((SOLVED - errors) / SOFT))))
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from acgd.config.expert import DaggerConfig
-from acgd.experts.detours import CLENCHED, DETOURS
+from acgd.experts.detours import CLENCHED, DETOURS, Detour
 from acgd.tasks.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
@@ -27,12 +27,16 @@ TIP_UNIT = 0.05
 
 
 class MuscleControl:
-    """The teacher in one environment of a pose or reach task; ValueError for other kinds."""
+    """The teacher in one environment of a pose or reach task; ValueError for other kinds.
 
-    def __init__(self, env: MyoDexTask, settings: DaggerConfig) -> None:
+    On a pose task it takes `detour`, or the known one, if any.
+    """
+
+    def __init__(self, env: MyoDexTask, settings: DaggerConfig, detour: Detour | None = None) -> None:
         if env.task.kind not in _ERRORS:
             raise ValueError(f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.algorithm to ppo or sac")
         self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
+        self._detour = detour or DETOURS.get(env.task.name)
         self._moment = np.zeros((env.model.nu, env.model.nv))
 
     def action(self) -> np.ndarray:
@@ -51,7 +55,7 @@ class MuscleControl:
         by_activation = (arms * active[:, None]).T / damping[:, None]
         others = arms.T @ passive + data.qfrc_passive[joints] + damping * data.qvel[joints] - data.qfrc_bias[joints]
         drift = others / damping
-        error, jacobian = self._error(self._env)
+        error, jacobian = self._error(self._env, self._detour)
         still, effort = self._settings.damping, self._settings.effort
         left = np.vstack([jacobian @ by_activation, still * by_activation, effort * np.eye(model.nu)])
         right = np.concatenate([self._settings.rate * error - jacobian @ drift, -still * drift, np.zeros(model.nu)])
@@ -68,11 +72,10 @@ def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.
     return active, passive
 
 
-def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
+def _pose_error(env: MyoDexTask, detour: Detour | None) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles that are missing (23,), rad, within the joints' ranges, and their Jacobian."""
     low, high = env.model.jnt_range.T
     error = (np.clip(env.base.target_jnt_value, low, high) - env.data.qpos)[env.hand_qpos]
-    detour = DETOURS.get(env.task.name)
     if detour and env.steps < detour.steps:
         goal = error + env.data.qpos[env.hand_qpos]
         error[CLENCHED] = detour.posture + detour.share * goal[CLENCHED] - env.data.qpos[env.hand_qpos][CLENCHED]
@@ -80,7 +83,7 @@ def _pose_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
     return error, np.eye(len(error))
 
 
-def _reach_error(env: MyoDexTask) -> tuple[np.ndarray, np.ndarray]:
+def _reach_error(env: MyoDexTask, _: Detour | None) -> tuple[np.ndarray, np.ndarray]:
     """Vectors from the five fingertips to their targets (15,), in units of TIP_UNIT, and their Jacobian (15, 23)."""
     tips, targets = env.base.tip_sids, env.base.target_sids
     jacobian = np.zeros((len(tips), 3, env.model.nv))
