@@ -409,6 +409,16 @@ def test_critics_of_other_weights_are_refused(entry):
         train.check(entry)
 
 
+def test_the_fitted_critic_of_another_policy_is_refused(entry):
+    card = json.loads((entry / "card.json").read_text())
+    expert = Expert.load(entry)
+    expert.action.bias.add_(1e-3)
+    expert.save(entry)
+    train.write_card(card | {"sha256": train.sha256(entry / "policy.safetensors")}, entry)
+    with pytest.raises(ValueError, match="critic holds the critic of another policy.*critic.source: fqe"):
+        train.check(entry)
+
+
 def test_other_versions_than_those_of_the_training_are_a_warning(entry, capsys):
     from acgd.__main__ import main
 

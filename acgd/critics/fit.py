@@ -51,6 +51,7 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
         "simulator_steps": len(data),
         "transitions_terminated": int(data.terminated.sum()),
         "branched_states": branched,
+        "expert_sha256": sha256(inputs["expert"] / "policy.safetensors"),
     }
     critic.save(ctx.out)
     found = quality.measure(critic, expert, lock, limit, config.critic, ctx.out / "within_state.csv", ctx.progress)

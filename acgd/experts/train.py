@@ -11,10 +11,10 @@ from scipy.stats import binomtest
 from acgd.artifacts.stage import Context, Inputs
 from acgd.artifacts.versions import SIMULATOR
 from acgd.config.expert import ExpertRequest
-from acgd.config.zoo import CRITIC, FILES
+from acgd.config.zoo import CRITIC, CRITIC_FOLDER, FILES
 from acgd.config.zoo import ROOT as ZOO
 from acgd.experts.policy import Expert
-from acgd.experts.q_ensemble import WEIGHTS
+from acgd.experts.q_ensemble import META, WEIGHTS
 from acgd.experts.success import episodes
 from acgd.tasks.spec import TASKS
 from acgd.tasks.seeds import SEEDS
@@ -67,7 +67,7 @@ def take(slug: str, ctx: Context) -> None:
 
 
 def check(folder: Path) -> dict:
-    """The card of a zoo entry. Raises FileNotFoundError or ValueError where weights and card do not fit."""
+    """The card of a zoo entry. Raises FileNotFoundError or ValueError where the weights do not fit the card, or the fitted critic not the weights."""
     missing = [name for name in FILES if not (folder / name).is_file()]
     if missing:
         have = sorted(path.parent.name for path in ZOO.glob("*/card.json"))
@@ -81,6 +81,12 @@ def check(folder: Path) -> dict:
                 f"{folder}/card.json is not the card of the {name} beside it: "
                 f"restore both from the repository, or rewrite it with `python -m acgd zoo card {folder.name}`"
             )
+    fitted = folder / CRITIC_FOLDER / META
+    if fitted.is_file() and json.loads(fitted.read_text()).get("expert_sha256") != found["sha256"]:
+        raise ValueError(
+            f"{fitted.parent} holds the critic of another policy than {folder}/policy.safetensors: restore both from the repository, "
+            "or fit it again (critic.source: fqe) and put the files of that artifact there"
+        )
     return found
 
 
