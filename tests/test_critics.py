@@ -55,9 +55,11 @@ def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Criti
     return fit.finish()
 
 
-def a_critic(state_dim: int, seed: int, members: int = 2) -> Critic:
+def a_critic(state_dim: int, seed: int, members: int = 2, dueling: bool = False) -> Critic:
     generator = torch.Generator().manual_seed(seed)
-    critic = Critic(state_dim, 3, members=members, width=16, depth=2, action_space="excitation", generator=generator)
+    critic = Critic(state_dim, 3, members=members, width=16, depth=2, action_space="excitation", dueling=dueling, generator=generator)
+    if dueling:
+        critic.advantage_unit.fill_(0.1 * (1 + seed))
     critic.state_mean.copy_(torch.randn(state_dim, generator=generator))
     critic.state_std.copy_(torch.rand(state_dim, generator=generator) + 0.5)
     critic.shift.fill_(-100.0 * seed)
@@ -118,22 +120,32 @@ def test_q_is_in_reward_units():
     assert float(large.spread / small.spread) == pytest.approx(1000, rel=1e-2)
 
 
-def test_within_state_regression_ranks_actions_where_the_value_of_states_drowns_them():
+def test_a_dueling_critic_ranks_actions_where_the_value_of_states_drowns_them():
     rng = np.random.default_rng(0)
     state = np.repeat(rng.uniform(-1, 1, (200, 1)), 4, 0).astype(np.float32)
     action = rng.uniform(-1, 1, (800, 1)).astype(np.float32)
     data = replace(
         linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
-        reward=(30 * np.sin(3 * state) + 0.5 * action)[:, 0],
+        reward=(30 * np.sin(3 * state) + 0.05 * action)[:, 0],
     )  # fmt: skip
     config = CriticConfig(action_space="raw", weight_decay=0.0, width=16, updates=300, batch=64, lr=1e-2, branches=BranchConfig(states=200, actions=4))
     tried = torch.linspace(-1, 1, 8)[:, None]
     ranked = {}
-    for weight in (0.0, 1.0):
-        critic = fitted(data, config.model_copy(update={"within_state": weight}))
+    for weight, dueling in ((1.0, True), (1.0, False), (0.0, True)):
+        critic = fitted(data, config.model_copy(update={"within_state": weight, "dueling": dueling}))
         q = [critic(torch.full((8, 1), at), tried).mean(0).detach().numpy() for at in (-0.7, -0.2, 0.3, 0.8)]
-        ranked[weight] = quality.rank_correlations(np.stack(q), np.repeat(tried.T.numpy(), 4, 0)).mean()
-    assert ranked[1.0] > 0.7 > 0.5 > ranked[0.0]
+        ranked[weight, dueling] = quality.rank_correlations(np.stack(q), np.repeat(tried.T.numpy(), 4, 0)).mean()
+    assert ranked[1.0, True] > 0.9 and ranked[1.0, False] < 0.5 and ranked[0.0, True] < 0.5
+
+
+def test_the_value_of_a_dueling_critic_knows_no_action():
+    data = concatenate([linear_problem(60), replace(linear_problem(12), branch=np.repeat(np.arange(4), 3))])
+    critic = fitted(data, TINY)
+    with torch.no_grad():
+        critic.advantage_unit.zero_()  # what is left is V
+        state, action = torch.full((5, 1), 0.3), torch.linspace(-1, 1, 5)[:, None]
+        assert critic(state, action).std(1).max() < 1e-6 < critic(torch.linspace(-1, 1, 5)[:, None], action).std(1).min()
+    assert not critic.weights[0][: critic.members, 1:].any()
 
 
 def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
@@ -172,8 +184,9 @@ def test_groups_of_unequal_size_are_refused():
 # -- the ensemble and the aggregate ----------------------------------------------------------------
 
 
-def test_critic_comes_back_as_it_was_saved(tmp_path: Path):
-    critic = a_critic(5, 1)
+@pytest.mark.parametrize("dueling", [False, True])
+def test_critic_comes_back_as_it_was_saved(tmp_path: Path, dueling: bool):
+    critic = a_critic(5, 1, dueling=dueling)
     critic.meta = {"task": "myo/reach", "gamma": 0.97}
     critic.save(tmp_path)
     loaded = Critic.load(tmp_path)
@@ -183,8 +196,9 @@ def test_critic_comes_back_as_it_was_saved(tmp_path: Path):
     assert float(loaded.spread) == 3.0
 
 
-def test_aggregate_is_each_rows_own_critic_in_its_own_units():
-    critics = [a_critic(size, seed) for seed, size in enumerate((5, 8, 6))]
+@pytest.mark.parametrize("dueling", [False, True])
+def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: bool):
+    critics = [a_critic(size, seed, dueling=dueling) for seed, size in enumerate((5, 8, 6))]
     task = torch.tensor([2, 0, 2, 2, 0, 2])  # task 1 is absent, the others are unbalanced
     action = torch.rand(6, 3) * 2 - 1
     state = torch.zeros(6, 8)
@@ -197,9 +211,9 @@ def test_aggregate_is_each_rows_own_critic_in_its_own_units():
         assert float(q[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
 
 
-@pytest.mark.parametrize(("members", "pessimism"), [(1, 0.5), (2, 0.0), (2, 1.0)])
-def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: float):
-    critics = [a_critic(4, 0, members), a_critic(6, 1, members)]
+@pytest.mark.parametrize(("members", "pessimism", "dueling"), [(1, 0.5, False), (2, 0.0, True), (2, 1.0, False), (2, 1.0, True)])
+def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: float, dueling: bool):
+    critics = [a_critic(4, 0, members, dueling), a_critic(6, 1, members, dueling)]
     before = [value.clone() for critic in critics for value in critic.state_dict().values()]
     aggregate = AggregateCritic(critics, pessimism)
     aggregate.train()  # a student that calls .train() on all it holds changes nothing
@@ -214,6 +228,8 @@ def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: f
 def test_aggregate_refuses_what_it_cannot_stack():
     with pytest.raises(ValueError, match="differ in members"):
         AggregateCritic([a_critic(4, 0, 1), a_critic(4, 1, 2)], 0.0)
+    with pytest.raises(ValueError, match="differ in dueling"):
+        AggregateCritic([a_critic(4, 0), a_critic(4, 1, dueling=True)], 0.0)
     with pytest.raises(ValueError, match="task id 2 for 1 critics"):
         AggregateCritic([a_critic(4, 0)], 0.0)(torch.zeros(1, 4), torch.zeros(1, 3), torch.tensor([2]))
 
@@ -355,7 +371,7 @@ def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
 
 def test_an_experts_own_critics_are_taken_with_the_spread_of_the_data_and_a_ppo_expert_has_none(tmp_path: Path):
     data = linear_problem()
-    critic = Critic(data.state.shape[1], data.action.shape[1], 2, 16, 2, "raw", torch.Generator().manual_seed(3))
+    critic = Critic(data.state.shape[1], data.action.shape[1], 2, 16, 2, "raw", generator=torch.Generator().manual_seed(3))
     critic.scale.fill_(7.0)
     critic.save(tmp_path)
     taken = own(tmp_path, data)

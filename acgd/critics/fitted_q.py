@@ -33,6 +33,7 @@ class FittedQ:
       z is y with one bootstrap for all branches of the state, the mean over those that did not terminate: the
       expert has brought them together by then, and what Q_target still sees between them is its own error (on
       myo/reach, 16-step branches rank actions at .95 of the full returns so, at .74 with y).
+    The advantage of a dueling critic is in units of the median spread of z in a state.
     """
 
     def __init__(self, data: Transitions, config: CriticConfig, gamma: float, device: torch.device) -> None:
@@ -47,7 +48,7 @@ class FittedQ:
         self.groups = branched_rows(data.branch, config.branches.actions).to(device)
         """(G, K) rows of the first actions tried in each branched state."""
         dims = data.state.shape[1], data.action.shape[1]
-        self.critic = Critic(*dims, config.members, config.width, config.depth, config.action_space, self.generator)
+        self.critic = Critic(*dims, config.members, config.width, config.depth, config.action_space, config.dueling, self.generator)
         self.critic.to(device)
         self._normalise(data, gamma)
         self.optimiser = torch.optim.AdamW(self.critic.parameters(), config.lr, weight_decay=config.weight_decay, fused=True)
@@ -102,6 +103,8 @@ class FittedQ:
         y = (returns - self.critic.shift) / self.critic.scale
         moved = float((y - self.y).square().mean().sqrt()) if self.y.numel() else float("nan")
         self.y, z = y, branch_targets(self.targets, value, self.groups) / self.critic.scale
+        if self.step == 0 and self.config.dueling and len(z):
+            self.critic.advantage_unit.copy_(z.std(1).median().clamp_min(1e-6))
         self._adopt(z)
         return {"target_shift": moved, "target_mean": float(returns.mean()), "target_std": float(returns.std())}
 

@@ -33,6 +33,11 @@ class Critic(nn.Module):
     Everything that maps raw inputs to reward units is inside, as buffers:
     `state_mean`, `state_std` (S,) normalise the state; `shift`, `scale` () turn the networks' output into a return;
     `spread` () is the standard deviation of Q over the data of the fit, the unit in which tasks are compared.
+
+    A dueling critic (Wang et al. 2016) has two networks a member, Q = V(s) + `advantage_unit` A(s, a): the first M of the
+    stack read states alone. What an action does is often a hundredth of what the state is worth; one network that learns
+    both ranks actions by its errors in V. Unlike there, A is not centred: a continuous action has no mean over all actions,
+    and the ranking needs none.
     """
 
     state_mean: Tensor
@@ -40,22 +45,27 @@ class Critic(nn.Module):
     shift: Tensor
     scale: Tensor
     spread: Tensor
+    advantage_unit: Tensor
 
     def __init__(self, state_dim: int, action_dim: int, members: int = 2, width: int = 128, depth: int = 2,
-                 action_space: ActionSpace = "raw", generator: torch.Generator | None = None) -> None:
+                 action_space: ActionSpace = "raw", dueling: bool = False, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.shape = {"state_dim": state_dim, "action_dim": action_dim, "members": members, "width": width, "depth": depth,
-                      "action_space": action_space}
-        sizes = [state_dim + action_dim] + [width] * depth + [1]
+                      "action_space": action_space, "dueling": dueling}
+        sizes, networks = [state_dim + action_dim] + [width] * depth + [1], (1 + dueling) * members
         self.weights = nn.ParameterList(
-            nn.Parameter(torch.randn(members, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
+            nn.Parameter(torch.randn(networks, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
         )
         # Without a bias before it, LayerNorm would make the first layer blind to the size of its input.
         self.biases = nn.ParameterList(
-            nn.Parameter((torch.rand(members, 1, m, generator=generator) * 2 - 1) / n**0.5) for n, m in zip(sizes, sizes[1:])
+            nn.Parameter((torch.rand(networks, 1, m, generator=generator) * 2 - 1) / n**0.5) for n, m in zip(sizes, sizes[1:])
         )
-        self.gains = nn.ParameterList(nn.Parameter(torch.ones(members, 1, width)) for _ in range(depth))
-        self.offsets = nn.ParameterList(nn.Parameter(torch.zeros(members, 1, width)) for _ in range(depth))
+        self.gains = nn.ParameterList(nn.Parameter(torch.ones(networks, 1, width)) for _ in range(depth))
+        self.offsets = nn.ParameterList(nn.Parameter(torch.zeros(networks, 1, width)) for _ in range(depth))
+        if dueling:
+            self.register_buffer("advantage_unit", torch.ones(()))
+            with torch.no_grad():
+                self.weights[0][:members, state_dim:] = 0  # and so they stay: V is given zeros for the action
         for name, value in {"state_mean": torch.zeros(state_dim), "state_std": torch.ones(state_dim),
                             "shift": torch.zeros(()), "scale": torch.ones(()), "spread": torch.ones(())}.items():
             self.register_buffer(name, value)
@@ -75,13 +85,18 @@ class Critic(nn.Module):
 
     def network(self, normal_state: Tensor, action: Tensor) -> Tensor:
         """`standard` for states that are normalised already."""
-        x = torch.cat([normal_state, measured(action, self.shape["action_space"])], -1).expand(self.members, -1, -1)
+        action = measured(action, self.shape["action_space"])
+        x = torch.cat([normal_state, action], -1).expand(self.members, -1, -1)
+        if self.shape["dueling"]:
+            blind = torch.cat([normal_state, torch.zeros_like(action)], -1).expand(self.members, -1, -1)
+            x = torch.cat([blind, x])
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
             x = F.silu(torch.addcmul(offset, normal, gain))
         # Returns need more digits than bf16 has. A product and a sum: for one column a batched matrix product takes four times as long.
         weight, bias = self.weights[-1].float(), self.biases[-1].float()
-        return (x.float() * weight.transpose(1, 2)).sum(-1) + bias.squeeze(-1)
+        q = (x.float() * weight.transpose(1, 2)).sum(-1) + bias.squeeze(-1)
+        return q[: self.members] + self.advantage_unit * q[self.members :] if self.shape["dueling"] else q
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
         """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""

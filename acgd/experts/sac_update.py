@@ -41,7 +41,7 @@ class SACUpdate:
         self.sac, self.generator, self.device = sac, generator, device
         self.actor = Expert(state_dim, action_dim, sac.width, squashed=True).requires_grad_(True)
         _initialise(self.actor, generator)
-        self.critic = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space, generator)
+        self.critic = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space, generator=generator)
         with torch.no_grad():
             self.critic.weights[-1].mul_(FIRST_Q)
         self.target = Critic(state_dim, action_dim, 2, sac.width, 2, sac.action_space)
