@@ -28,7 +28,7 @@ MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """A behaviour-cloning step and a guided one (two 128-wide critics) of the default sizes, taken in turn with a matrix product.
+    """A behaviour-cloning step and a guided one (two dueling critics of 128 units) of the default sizes, taken in turn with a matrix product.
 
     Times are of the processor, so that neighbours disturb them less; the median step counts.
     """
@@ -61,7 +61,7 @@ def training_step(config: CodebookConfig, settings: StudentConfig, guided: bool)
     """One optimiser step of stage (b), as `distil` takes it, on data of the default study's size."""
     data = Data.of(_windows(), config)
     student = Student.of(Codebook(config, Sizes(FEATURES, PROPRIO, ACTIONS, TASKS, owns_cnn=False)))
-    critics = AggregateCritic([Critic(STATE, ACTIONS, members=2, width=128) for _ in range(TASKS)], settings.pessimism)
+    critics = AggregateCritic([Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)], settings.pessimism)
     guidance = Guidance(critics, torch.ones(TASKS), losses.step_weights(settings.guided_steps, config.chunk, torch.device("cpu"))) if guided else None
     codes = torch.randint(config.codes, (len(data.windows.task), config.groups))
     optimiser = adamw(student, settings.training)

@@ -50,7 +50,7 @@ def rollouts(directory: Path, task: int, episodes: int = 10, length: int = 20, s
 def critic(directory: Path, state: int, actions: int = A, low: float = 0.5, members: int = 2, width: int = 32, seed: int = 0) -> Path:
     """An untrained critic with a quality.json; `low` is the low end of its within-state rank interval."""
     directory.mkdir(parents=True)
-    made = Critic(state, actions, members, width, generator=torch.Generator().manual_seed(seed))
+    made = Critic(state, actions, members, width, dueling=True, generator=torch.Generator().manual_seed(seed))
     made.spread.fill_(0.5)
     made.save(directory)
     (directory / "quality.json").write_text(f'{{"within_state": {{"low": {low}}}}}')

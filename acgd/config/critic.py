@@ -32,7 +32,7 @@ class BranchConfig(Section):
 
     states: int = Field(500, ge=0, description="States branched from, drawn from the rollouts. 0 fits on rollouts alone.")
     actions: int = Field(4, ge=2, description="Actions tried in each state.")
-    steps: PositiveInt = Field(12, description="Simulator steps of a branch, its first action included, before Q is bootstrapped.")
+    steps: PositiveInt = Field(16, description="Simulator steps of a branch, its first action included, before Q is bootstrapped.")
 
 
 class QualityConfig(Section):

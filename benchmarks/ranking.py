@@ -1,0 +1,76 @@
+"""How far the order of a state's actions can be known at all: `python -m benchmarks.ranking`, or with names of tasks.
+
+Two ceilings of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic: the
+order of sixteen actions is another one in a state a thousandth of a radian or a millimetre away, and no function of
+the state can follow it. And what decides may come later than the branches that a critic is fitted to.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from acgd.config import zoo
+from acgd.config.critic import CriticConfig
+from acgd.config.task import TaskConfig
+from acgd.critics.gather import Visit, branches, candidates, rollouts
+from acgd.critics.quality import discounted, one_per_episode, rank_correlations
+from acgd.experts.policy import Expert
+from acgd.tasks import registry
+from acgd.tasks.lockstep import Lockstep
+from acgd.tasks.seeds import SEEDS
+from acgd.tasks.snapshot import STATE
+from acgd.tracking.progress import Progress
+from benchmarks.row import Row
+
+TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))
+STATES = 24
+ENVIRONMENTS = 8
+DISTANCE = 1e-3
+"""Standard deviation of what is added to each position, in radians and metres."""
+
+
+def run(tasks: Sequence[str] = TASKS) -> list[Row]:
+    """Two rows per task."""
+    return [row for task in tasks for row in _measure(task)]
+
+
+def _measure(task: str) -> list[Row]:
+    config, rng = CriticConfig(), np.random.default_rng(0)
+    expert, tail = Expert.load(zoo.folder(task)), config.quality.tail
+    gamma = expert.meta["gamma"]
+    lock = Lockstep(TaskConfig(name=task), ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
+    with Progress(open("/dev/null", "w"))(1, task) as bar:
+        _, visits, _ = rollouts(lock, expert, config.perturbation, SEEDS.validation, limit=registry.TASKS[task].horizon, episodes=STATES, visit_rate=0.25, bar=bar)
+        here = one_per_episode(visits, rng)
+        actions = candidates(expert, here, config.quality.candidates, rng)[0]
+
+        tried = branches(lock.envs, expert, here, actions, tail, bar)
+        tried_beside = branches(lock.envs, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
+    whole, beside, early = (
+        discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
+        for data, steps in ((tried, tail), (tried_beside, tail), (tried, config.branches.steps))
+    )
+    found = {f"{DISTANCE:g} rad or m away": beside, f"after {config.branches.steps} of {tail} steps": early}
+    return [
+        Row(name=f"ranking/{task}: {what}", value=float(np.nanmean(rank_correlations(other, whole))), unit="rank correlation", ratio=None, target="", met=None)
+        for what, other in found.items()
+    ]
+
+
+def _beside(env, visit: Visit, rng: np.random.Generator) -> Visit:
+    """The visit with each position moved by DISTANCE."""
+    env.restore(visit.snapshot)
+    mujoco.mj_integratePos(env.model, env.data.qpos, DISTANCE * rng.standard_normal(env.model.nv), 1)
+    mujoco.mj_forward(env.model, env.data)
+    integration = np.empty_like(visit.snapshot.integration)
+    mujoco.mj_getState(env.model, env.data, integration, STATE)
+    snapshot = replace(visit.snapshot, integration=integration)
+    return replace(visit, snapshot=snapshot, state=env.restore(snapshot)["state"])
+
+
+if __name__ == "__main__":
+    for row in run(sys.argv[1:] or TASKS):
+        print(f"{row['name']:60} {row['value']:.2f}")
