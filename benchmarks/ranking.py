@@ -45,7 +45,7 @@ def _measure(task: str) -> list[Row]:
     with Progress(open("/dev/null", "w"))(1, task) as bar:
         _, visits, _ = rollouts(lock, expert, config.perturbation, SEEDS.validation, limit=registry.TASKS[task].horizon, episodes=STATES, visit_rate=0.25, bar=bar)
         here = one_per_episode(visits, rng)
-        actions = candidates(expert, here, config.quality.candidates, rng)[0]
+        actions = candidates(expert, np.stack([visit.state for visit in here]), config.quality.candidates, rng)[0]
 
         tried = branches(lock.envs, expert, here, actions, tail, bar)
         tried_beside = branches(lock.envs, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)

@@ -16,7 +16,7 @@ from acgd.config.task import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
 from acgd.experts.q_ensemble import Critic
-from acgd.critics.fit import fit, own
+from acgd.critics.fit import fit, own, spread
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
@@ -52,7 +52,7 @@ def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Criti
     fit = FittedQ(data, config, gamma, CPU)
     while fit.step < config.updates:
         fit.update()
-    return fit.finish()
+    return fit.critic.eval()
 
 
 def a_critic(state_dim: int, seed: int, members: int = 2, dueling: bool = False) -> Critic:
@@ -117,7 +117,9 @@ def test_q_is_in_reward_units():
     small, large = fitted(data, config), fitted(replace(data, reward=1000 * data.reward), config)
     state, action = torch.tensor([[0.5]]), torch.tensor([[0.3]])
     assert torch.allclose(1000 * small(state, action), large(state, action), rtol=1e-2)
-    assert float(large.spread / small.spread) == pytest.approx(1000, rel=1e-2)
+    random = Expert.random(1, 1, seed=0)
+    units = [spread(critic, random, data.state, np.random.default_rng(0)) for critic in (small, large)]
+    assert units[1] / units[0] == pytest.approx(1000, rel=1e-2)
 
 
 def test_a_dueling_critic_ranks_actions_where_the_value_of_states_drowns_them():
@@ -200,15 +202,18 @@ def test_critic_comes_back_as_it_was_saved(tmp_path: Path, dueling: bool):
 def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: bool):
     critics = [a_critic(size, seed, dueling=dueling) for seed, size in enumerate((5, 8, 6))]
     task = torch.tensor([2, 0, 2, 2, 0, 2])  # task 1 is absent, the others are unbalanced
-    action = torch.rand(6, 3) * 2 - 1
+    action, reference = (torch.rand(6, 3) * 2 - 1 for _ in range(2))
     state = torch.zeros(6, 8)
     for row, t in enumerate(task):
         state[row, : critics[t].shape["state_dim"]] = torch.randn(critics[t].shape["state_dim"])
-    q = AggregateCritic(critics, pessimism=0.5)(state, action, task)
+    aggregate = AggregateCritic(critics, pessimism=0.5)
+    gain = aggregate(state, action, reference, task)
     for row, t in enumerate(task):
-        own = critics[t](state[row : row + 1, : critics[t].shape["state_dim"]], action[row : row + 1])[:, 0]
+        seen = state[row : row + 1, : critics[t].shape["state_dim"]]
+        own = (critics[t](seen, action[row : row + 1]) - critics[t](seen, reference[row : row + 1]))[:, 0]
         expected = (own.mean() - 0.5 * own.std(correction=0)) / critics[t].spread
-        assert float(q[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
+        assert float(gain[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-3, abs=1e-4)
+    assert aggregate(state, reference, reference, task).abs().max() < 1e-5
 
 
 @pytest.mark.parametrize(("members", "pessimism", "dueling"), [(1, 0.5, False), (2, 0.0, True), (2, 1.0, False), (2, 1.0, True)])
@@ -217,10 +222,10 @@ def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: f
     before = [value.clone() for critic in critics for value in critic.state_dict().values()]
     aggregate = AggregateCritic(critics, pessimism)
     aggregate.train()  # a student that calls .train() on all it holds changes nothing
-    state, action = torch.randn(5, 6, requires_grad=True), torch.rand(5, 3, requires_grad=True)
-    aggregate(state, action, torch.tensor([0, 1, 1, 1, 0])).sum().backward()
+    state, action, reference = torch.randn(5, 6, requires_grad=True), torch.rand(5, 3, requires_grad=True), torch.rand(5, 3, requires_grad=True)
+    aggregate(state, action, reference, torch.tensor([0, 1, 1, 1, 0])).sum().backward()
     assert action.grad.isfinite().all() and (action.grad.abs().sum(1) > 0).all()
-    assert state.grad is None and not list(aggregate.parameters())
+    assert state.grad is None and reference.grad is None and not list(aggregate.parameters())
     assert all(parameter.grad is None for critic in critics for parameter in critic.parameters())
     assert all(torch.equal(a, b) for a, b in zip(before, [v for c in critics for v in c.state_dict().values()]))
 
@@ -231,7 +236,7 @@ def test_aggregate_refuses_what_it_cannot_stack():
     with pytest.raises(ValueError, match="differ in dueling"):
         AggregateCritic([a_critic(4, 0), a_critic(4, 1, dueling=True)], 0.0)
     with pytest.raises(ValueError, match="task id 2 for 1 critics"):
-        AggregateCritic([a_critic(4, 0)], 0.0)(torch.zeros(1, 4), torch.zeros(1, 3), torch.tensor([2]))
+        AggregateCritic([a_critic(4, 0)], 0.0)(torch.zeros(1, 4), torch.zeros(1, 3), torch.zeros(1, 3), torch.tensor([2]))
 
 
 # -- perturbations and configuration ---------------------------------------------------------------
@@ -309,7 +314,7 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
         assert (lengths <= 66).all() and (data.terminated[data.ends - 1] == (lengths < 66)).all()  # past the task's 50 steps
         visit = next(v for v in visits if v.episode == 1)
         step = data.starts[1] + [v for v in visits if v.episode == 1].index(visit)
-        actions, sources = candidates(expert, [visit], 6, np.random.default_rng(0))
+        actions, sources = candidates(expert, visit.state[None], 6, np.random.default_rng(0))
         tried = branches(lock.envs, expert, [visit], actions, 5, bar)
     assert sources == ["mean", "sample", "gaussian 0.1", "gaussian 0.2", "gaussian 0.4", "uniform"]
     assert tried.branch[tried.starts].tolist() == [0] * 6 and (tried.branch == ROLLOUT).sum() == len(tried) - 6
@@ -369,17 +374,21 @@ def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
     assert critic.meta["task"] == TASK.name and critic.meta["simulator_steps"] >= 60
 
 
-def test_an_experts_own_critics_are_taken_with_the_spread_of_the_data_and_a_ppo_expert_has_none(tmp_path: Path):
-    data = linear_problem()
-    critic = Critic(data.state.shape[1], data.action.shape[1], 2, 16, 2, "raw", generator=torch.Generator().manual_seed(3))
-    critic.scale.fill_(7.0)
-    critic.save(tmp_path)
-    taken = own(tmp_path, data)
-    q = critic(torch.from_numpy(data.state), torch.from_numpy(data.action))
-    assert torch.equal(taken(torch.from_numpy(data.state), torch.from_numpy(data.action)), q)
-    assert float(taken.spread) == pytest.approx(float(q.detach().mean(0).std()))
+def test_the_unit_of_q_is_the_spread_over_actions_of_a_state_not_over_states(expert: Expert):
+    class Known(torch.nn.Module):
+        spread = torch.ones(())
+
+        def forward(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            return (1e4 * state[:, 0] + 3.0 * action[:, 0])[None]
+
+    states = np.random.default_rng(0).standard_normal((600, expert.hidden1.in_features)).astype(np.float32)
+    actions, _ = candidates(expert, states, 16, np.random.default_rng(1))
+    assert spread(Known(), expert, states, np.random.default_rng(2)) == pytest.approx(3.0 * np.median(actions[:, :, 0].std(1, ddof=1)), rel=0.1)
+
+
+def test_a_ppo_expert_has_no_critics_of_its_own(tmp_path: Path):
     with pytest.raises(ValueError, match="critic.source.*sac.*fqe"):
-        own(tmp_path / "nowhere", data)
+        own(tmp_path / "nowhere")
 
 
 def test_an_experts_own_critics_are_measured_like_fitted_ones(tmp_path: Path, expert: Expert):

@@ -5,7 +5,7 @@ from importlib.metadata import version
 
 STAGES: dict[str, int] = {
     "expert": 1,
-    "critic": 1,
+    "critic": 2,
     "rollouts": 1,
     "backbone": 1,
     "features": 1,

@@ -24,6 +24,8 @@ from acgd.tracking.progress import Progress
 
 ENVIRONMENTS = 8
 """Side by side in one process: enough to batch the expert, few enough to make."""
+SPREAD_STATES, SPREAD_ACTIONS = 512, 16
+"""That a task's unit of Q is measured on."""
 VISITS_PER_BRANCH = 3
 """States kept to come back to, for each one that is drawn from them."""
 
@@ -38,11 +40,12 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
     lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
     data = _gathered(lock, expert, limit, config.critic, ctx.state / "transitions.safetensors", ctx.progress)
     if config.critic.source == "expert":
-        critic, branched = own(inputs["expert"], data), 0
+        critic, branched = own(inputs["expert"]), 0
     else:
         fitted = FittedQ(data, config.critic, expert.meta["gamma"], ctx.device)
         _train(fitted, ctx)
-        critic, branched = fitted.finish(), len(fitted.groups)
+        critic, branched = fitted.critic.eval(), len(fitted.groups)
+    critic.spread.copy_(spread(critic, expert, data.state, np.random.default_rng([config.critic.seed, 2])))
     critic.meta = {
         "task": config.task.name,
         "source": config.critic.source,
@@ -66,21 +69,27 @@ def take(task: str, expert: Path, ctx: Context) -> None:
         shutil.copyfile(file, ctx.out / file.name)
 
 
-def own(folder: Path, data: Transitions) -> Critic:
-    """The critics that an off-policy expert has learned, with the spread of their Q over `data` as the task's unit.
+def own(folder: Path) -> Critic:
+    """The critics that an off-policy expert has learned. Their Q holds the entropy bonus of its training.
 
-    Their Q holds the entropy bonus of its training. Raises ValueError where the expert has none.
+    Raises ValueError where the expert has none.
     """
     if not (folder / WEIGHTS).is_file():
         raise ValueError(
             f"critic.source is expert, but {folder} has no {WEIGHTS}: only an off-policy expert (expert.algorithm sac) has critics "
             "of its own; set critic.source to fqe"
         )
-    critic = Critic.load(folder)
+    return Critic.load(folder)
+
+
+def spread(critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator) -> float:
+    """The standard deviation of Q over candidate actions of one state, the median of some of `states` (N, S), in reward units."""
+    states = states[rng.choice(len(states), min(SPREAD_STATES, len(states)), replace=False)]
+    actions, _ = candidates(expert, states, SPREAD_ACTIONS, rng)
+    rows = torch.from_numpy(states).repeat_interleave(SPREAD_ACTIONS, 0), torch.from_numpy(actions).flatten(0, 1)
     with torch.no_grad():
-        q = critic(torch.from_numpy(data.state), torch.from_numpy(data.action)).mean(0)
-    critic.spread.copy_(q.std().clamp_min(1e-6))
-    return critic
+        q = critic(*(value.to(critic.spread.device) for value in rows)).mean(0)
+    return max(float(q.view(-1, SPREAD_ACTIONS).std(1).median()), 1e-6)
 
 
 def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, progress: Progress) -> Transitions:
@@ -97,7 +106,7 @@ def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, pro
         raise ValueError(f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states")
     rng = np.random.default_rng([config.seed, 0])
     chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
-    actions = _some_of(candidates(expert, chosen, max(branch.actions, 1 + len(CANDIDATES)), rng)[0], branch.actions, rng)
+    actions = _some_of(candidates(expert, np.stack([visit.state for visit in chosen]), max(branch.actions, 1 + len(CANDIDATES)), rng)[0], branch.actions, rng)
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
     return concatenate([data, tried])

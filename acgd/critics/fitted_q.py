@@ -125,13 +125,6 @@ class FittedQ:
         # States in which the action hardly matters would otherwise teach their noise.
         self.group_spread = (spread + spread.median()).clamp_min(1e-6)
 
-    def finish(self) -> Critic:
-        """The fitted critic, with the spread of its targets over the data as the task's unit."""
-        with torch.no_grad():
-            returns = self.targets.reward_sum + self.targets.discount * self.next_value()
-        self.critic.spread.copy_(returns.mean(0).std().clamp_min(1e-6))
-        return self.critic.eval()
-
     # -- checkpoint --------------------------------------------------------------------------------
 
     def save(self, path: Path) -> None:

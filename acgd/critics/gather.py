@@ -119,9 +119,8 @@ def branches(
     return recorder.transitions(expert)
 
 
-def candidates(expert: Expert, visits: Sequence[Visit], count: int, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
-    """Actions to try in each visited state, (V, count, A) in [-1, 1], the expert's mean first; and what each is."""
-    state = np.stack([visit.state for visit in visits])
+def candidates(expert: Expert, state: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
+    """Actions to try in each of V states (V, S): (V, count, A) in [-1, 1], the expert's mean first; and what each is."""
     mean = expert.mean(state)
     tried, names = [mean], ["mean"]
     for k in range(count - 1):

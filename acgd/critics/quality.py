@@ -40,7 +40,7 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
             episodes=quality.states, visit_rate=VISIT_RATE, seed=config.seed, bar=bar,
         )
     chosen = one_per_episode(visits, noise)
-    actions, sources = candidates(expert, chosen, quality.candidates, noise)
+    actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, noise)
     with progress(actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
     first = tried.starts

@@ -32,7 +32,7 @@ class Critic(nn.Module):
     Parameters are stacked over the M members, `(M, in, out)`, so that a forward pass is one batched product per layer.
     Everything that maps raw inputs to reward units is inside, as buffers:
     `state_mean`, `state_std` (S,) normalise the state; `shift`, `scale` () turn the networks' output into a return;
-    `spread` () is the standard deviation of Q over the data of the fit, the unit in which tasks are compared.
+    `spread` () is how far the Q of candidate actions of one state lie apart, the unit in which tasks are compared.
 
     A dueling critic (Wang et al. 2016) has two networks a member, Q = V(s) + `advantage_unit` A(s, a): the first M of the
     stack read states alone. What an action does is often a hundredth of what the state is worth; one network that learns
@@ -74,6 +74,17 @@ class Critic(nn.Module):
     @property
     def members(self) -> int:
         return self.shape["members"]
+
+    @property
+    def action_networks(self) -> dict[str, list[Tensor]]:
+        """Weights, biases, gains and offsets of the networks that read the action, each (M, ...) by layer."""
+        stacks = {"weights": self.weights, "biases": self.biases, "gains": self.gains, "offsets": self.offsets}
+        return {name: [value[-self.members :] for value in stack] for name, stack in stacks.items()}
+
+    @property
+    def action_scale(self) -> Tensor:
+        """() from the output of those networks to reward units."""
+        return self.scale * self.advantage_unit if self.shape["dueling"] else self.scale
 
     def normalise(self, state: Tensor) -> Tensor:
         """(..., S) in the simulator's units -> (..., S) as the networks read it."""

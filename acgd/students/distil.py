@@ -98,13 +98,14 @@ def student_losses(
     row = {"l_lat": l_lat, "l_act": l_act}
     if not n:
         return l_lat + l_act, None, row
-    distill = guidance.loss(states, decoded[len(codes) :], batch.mask[:n], batch.observation.task[:n])
+    distill = guidance.loss(states, decoded[len(codes) :], batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
     return l_lat + l_act, distill, row | {"l_distill": distill}
 
 
 @torch.no_grad()
 def validate(student: Student, data: Data, codes: Tensor, guidance: Guidance | None) -> dict[str, float]:
-    """On the held-out episodes: L_BC; the error of what the student would do, which chooses the best weights, and its code accuracy; its Q."""
+    """On the held-out episodes: L_BC; the error of what the student would do, which chooses the best weights, and its code accuracy; what the critics give it over
+    the demonstration."""
     student.eval()
     generators = {"data": torch.Generator(codes.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}
@@ -122,7 +123,8 @@ def validate(student: Student, data: Data, codes: Tensor, guidance: Guidance | N
             "validation_code_accuracy": (chosen == codes[t]).float().mean(-1),
         }
         if guidance is not None:
-            scores["validation_q"] = -losses.distill(guidance.q(data.states(t), plan, seen.task), batch.mask, guidance.weights)
+            gain = guidance.gain(data.states(t), plan, batch.chunk, seen.task)
+            scores["validation_gain"] = -losses.distill(gain, batch.mask, guidance.weights)
         for name, value in scores.items():
             sums[name] = sums.get(name, 0) + value.sum()
     student.train()

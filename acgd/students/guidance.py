@@ -27,17 +27,21 @@ class Guidance:
     weights: Tensor
     """(k,) w_j."""
 
-    def q(self, states: Tensor, chunk: Tensor, task: Tensor) -> Tensor:
-        """Q_i(s_{t+j}, a_hat_{t+j}) / spread_i. states (B, k, S), chunk (B, k, A), task (B,) -> (B, k), in full precision."""
-        b, k = chunk.shape[:2]
-        with torch.autocast(chunk.device.type, enabled=False):
-            return self.critic(states.flatten(0, 1), chunk.float().flatten(0, 1), task.repeat_interleave(k)).view(b, k)
+    def gain(self, states: Tensor, chunk: Tensor, demonstrated: Tensor, task: Tensor) -> Tensor:
+        """(Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i, in full precision.
 
-    def loss(self, states: Tensor, chunk: Tensor, mask: Tensor, task: Tensor) -> Tensor:
+        states (B, k, S), chunks of actions (B, k, A), task (B,) -> (B, k).
+        """
+        b, k = chunk.shape[:2]
+        rows = (states, chunk.float(), demonstrated.float())
+        with torch.autocast(chunk.device.type, enabled=False):
+            return self.critic(*(value.flatten(0, 1) for value in rows), task.repeat_interleave(k)).view(b, k)
+
+    def loss(self, states: Tensor, chunk: Tensor, demonstrated: Tensor, mask: Tensor, task: Tensor) -> Tensor:
         """gate_i L_distill of each row -> (B,). Steps that weigh nothing are not judged."""
-        judged = int(self.weights.nonzero().max()) + 1
-        q = self.q(states[:, :judged], chunk[:, :judged], task)
-        return self.gates[task] * losses.distill(q, mask[:, :judged], self.weights[:judged])
+        judged = slice(int(self.weights.nonzero().max()) + 1)
+        gain = self.gain(states[:, judged], chunk[:, judged], demonstrated[:, judged], task)
+        return self.gates[task] * losses.distill(gain, mask[:, judged], self.weights[judged])
 
 
 def gates(config: StudentConfig, critics: Sequence[Path], device: torch.device) -> Tensor:

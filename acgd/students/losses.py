@@ -45,12 +45,13 @@ def lat(logits: Tensor, codes: Tensor) -> Tensor:
     return F.cross_entropy(logits.flatten(0, 1), codes.flatten(), reduction="none").view(codes.shape).mean(-1)
 
 
-def distill(q: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
-    """L_distill = - sum_j m_j w_j Q_i(s_{t+j}, a_hat_{t+j}) / spread_i, as a weighted mean over valid steps.
+def distill(gain: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
+    """L_distill = - sum_j m_j w_j (Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i, as a weighted mean over valid steps.
 
-    q (B, k) in spreads of the row's task, mask (B, k), weights (k,) -> (B,).
+    gain (B, k) in spreads of the row's task, mask (B, k), weights (k,) -> (B,). The paper's has no Q of the demonstrated
+    action a, a constant.
     """
-    return -over_valid_steps(q, mask, weights)
+    return -over_valid_steps(gain, mask, weights)
 
 
 def step_weights(guided_steps: str, k: int, device: torch.device) -> Tensor:
