@@ -388,6 +388,14 @@ def test_unguided_student_needs_no_critic_and_sees_the_same_batches(rollouts, cr
     assert json.loads((alone / "student.json").read_text())["guidance"] == {}
 
 
+def test_alpha_is_nothing_to_a_student_without_guidance(rollouts, codebook_dir, tmp_path):
+    inputs = {"rollouts": rollouts, "features": rollouts, "codebook": codebook_dir}
+    training = {"steps": 3, "clip_norm": 0.1}  # every gradient is clipped
+    request = synthetic.codebook_request()
+    out = [run(distil, synthetic.student_request(request, training, guidance="none", alpha=alpha), inputs, tmp_path / str(alpha)) for alpha in (1.0, 30.0)]
+    assert (out[0] / "last.safetensors").read_bytes() == (out[1] / "last.safetensors").read_bytes()
+
+
 class Killed(Exception):
     pass
 

@@ -10,7 +10,7 @@ STAGES: dict[str, int] = {
     "backbone": 1,
     "features": 1,
     "codebook": 1,
-    "student": 1,
+    "student": 2,
     "evaluation": 1,
     "controls": 1,
     "report": 1,

@@ -1,4 +1,7 @@
-"""The stage `student`, (b) of Figure 2: L = alpha (L_lat + L_act) + gate_i L_distill, with phi_act and the codes frozen."""
+"""The stage `student`, (b) of Figure 2: L = alpha (L_lat + L_act) + gate_i L_distill, with phi_act and the codes frozen.
+
+Divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it.
+"""
 
 import torch
 from torch import Tensor
@@ -41,7 +44,7 @@ def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         rows = round(training.batch * config.student.guided_fraction) if guided else 0
         states = data.states(t[:rows]) if guided else None
         bc, distill, row = student_losses(student, batch, codes[t], guidance, states, training.input_noise, generators)
-        bc = config.student.alpha * bc
+        distill = distill / config.student.alpha if guided else None
         if not logged:
             return bc.mean() + (distill.mean() if guided else 0), {}
         row = {name: value.mean().item() for name, value in row.items()}
