@@ -72,5 +72,6 @@ def _beside(env, visit: Visit, rng: np.random.Generator) -> Visit:
 
 
 if __name__ == "__main__":
-    for row in run(sys.argv[1:] or TASKS):
-        print(f"{row['name']:60} {row['value']:.2f}")
+    for name in sys.argv[1:] or TASKS:
+        for row in run([name]):
+            print(f"{row['name']:60} {row['value']:.2f}", flush=True)
