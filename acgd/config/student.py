@@ -79,7 +79,7 @@ class StudentConfig(Section):
     guided_fraction: Annotated[float, Field(gt=0, le=1)] = Field(
         0.25, description="share of each batch the critics see; the expectation of L_distill does not depend on it"
     )
-    alpha: Annotated[float, Field(gt=0)] = Field(1.0, description="alpha, weight of L_BC against L_distill, Eq. (1); the loss is divided by it")
+    alpha: Annotated[float, Field(gt=0)] = Field(10.0, description="alpha, weight of L_BC against L_distill, Eq. (1); the loss is divided by it")
     pessimism: NonNegative = Field(1.0, description="standard deviations of the critic ensemble taken off its mean")
     training: TrainingConfig = Field(TrainingConfig(), description="optimisation")
 
