@@ -21,7 +21,7 @@ class AggregateCritic(nn.Module):
         """`critics` in the order of the task ids. A gain is mean - pessimism * std over a critic's members."""
         super().__init__()
         shapes = [critic.shape for critic in critics]
-        for name in ("action_dim", "members", "width", "depth", "action_space", "dueling"):
+        for name in ("action_dim", "members", "width", "depth", "action_space"):
             if len({shape[name] for shape in shapes}) != 1:
                 raise ValueError(f"critics differ in {name}: {[shape[name] for shape in shapes]}; fit them with one critic section")
         self.pessimism, self.tasks, self.members = pessimism, len(critics), shapes[0]["members"]
