@@ -118,12 +118,12 @@ def test_the_same_artifacts_give_the_same_bytes(made, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("acgd", "verdict"),
-    [(0.6, "Guidance did not help"), (0.96, "Guidance helped"), (0.2, "Guidance hurt")],
+    [(0.6, "Guidance is not shown to help"), (0.96, "Guidance helped"), (0.2, "Guidance hurt")],
 )
 def test_the_headline_follows_the_interval(tmp_path: Path, acgd: float, verdict: str) -> None:
     text = said(*study(tmp_path, {"acgd": [acgd] * 2, "no-guidance": [0.6] * 2}))
     assert verdict in text
-    assert ("an interval that covers zero" in text) == (verdict == "Guidance did not help")
+    assert ("an interval that covers zero" in text) == (verdict == "Guidance is not shown to help")
     assert f"acgd {acgd:.2f}, no-guidance 0.60" in text
 
 

@@ -11,7 +11,7 @@ STUDENT = {
     "validation_loss": "validation L_BC",
     "validation_code_accuracy": "validation code accuracy",
     "validation_plan_error": "validation error of the plan",
-    "validation_gain": "Q over the demonstration’s, in spreads",
+    "validation_gain": "validation gain, in spreads",
     "l_act": "training L_act",
     "l_lat": "training L_lat",
     "l_distill": "training L_distill",

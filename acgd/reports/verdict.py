@@ -68,7 +68,7 @@ def answers(request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, ba
 def _outcome(row: pd.Series, guidance: str, variant: str, baseline: str) -> str:
     """Better, worse, or not told apart."""
     if guidance:
-        return f"{guidance} {'helped' if row.low > 0 else 'hurt' if row.high < 0 else 'did not help'}"
+        return f"{guidance} {'helped' if row.low > 0 else 'hurt' if row.high < 0 else 'is not shown to help'}"
     if row.low > 0 or row.high < 0:
         return f"{variant} did {'better' if row.low > 0 else 'worse'} than {baseline}"
     return f"{variant} did no better and no worse than {baseline}"
