@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 WEIGHTS, META = "critic.safetensors", "critic.json"
+FIRST = "weights.0"
 STATE_CLIP = 10.0
 """Normalised states are clipped here: a freak state must not throw a frozen critic off its data."""
 
@@ -114,8 +115,12 @@ class Critic(nn.Module):
         return self.shift + self.scale * self.standard(state, action)
 
     def save(self, directory: Path) -> None:
-        """Weights and normalisers as safetensors; shape and `meta` as JSON."""
-        save_file({name: value.clone() for name, value in self.state_dict().items()}, directory / WEIGHTS)
+        """Weights and normalisers as safetensors; shape and `meta` as JSON. The first weights of V are stored without the rows of the action."""
+        tensors = {name: value.clone() for name, value in self.state_dict().items()}
+        if self.shape["dueling"]:
+            value, advantage = tensors.pop(FIRST).chunk(2)
+            tensors |= {f"{FIRST}.value": value[:, : self.shape["state_dim"]].clone(), f"{FIRST}.advantage": advantage.clone()}
+        save_file(tensors, directory / WEIGHTS)
         (directory / META).write_text(json.dumps({"shape": self.shape, **self.meta}, indent=1, sort_keys=True) + "\n")
 
     @classmethod
@@ -123,7 +128,11 @@ class Critic(nn.Module):
         """A critic as it was saved, in eval mode."""
         meta = json.loads((Path(directory) / META).read_text())
         critic = cls(**meta.pop("shape"))
-        critic.load_state_dict(load_file(Path(directory) / WEIGHTS))
+        tensors = load_file(Path(directory) / WEIGHTS)
+        if critic.shape["dueling"]:
+            value, advantage = tensors.pop(f"{FIRST}.value"), tensors.pop(f"{FIRST}.advantage")
+            tensors[FIRST] = torch.cat([F.pad(value, (0, 0, 0, critic.shape["action_dim"])), advantage])
+        critic.load_state_dict(tensors)
         critic.meta = meta
         return critic.eval()
 
