@@ -1,8 +1,8 @@
 """How far the order of a state's actions can be known at all: `python -m benchmarks.ranking`, or with names of tasks.
 
-Two ceilings of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic: the
-order of sixteen actions is another one in a state a thousandth of a radian or a millimetre away, and no function of
-the state can follow it. And what decides may come later than the branches that a critic is fitted to.
+Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic: sixteen
+actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is smooth in the
+state cannot follow. And what decides may come later than the branches that a critic is fitted to.
 """
 
 import sys
