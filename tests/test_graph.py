@@ -105,7 +105,7 @@ def test_a_new_seed_makes_only_its_own():
         {"critic": {"checkpoint_every": 7}},
         {"expert": {"checkpoint_every": 7}},
         {"backbone": {"checkpoint_every": 7}},
-        {"variants": {"acgd": {"student": {"alpha": 1.0}}}},
+        {"variants": {"acgd": {"student": {"alpha": 10.0}}}},
         {"backbone": {"size": 100}},
     ],
     ids=str,
