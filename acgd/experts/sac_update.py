@@ -28,7 +28,7 @@ LOG_UNIT = 0.5 * math.log(2 * math.pi) + 2 * math.log(2)
 
 
 class SACUpdate:
-    """Policy, twin critics, their targets, temperature, and the optimisers of all three.
+    """Policy, twin critics, their targets, temperature, and their optimisers.
 
     Rewards come in units of `reward_scale`, the running standard deviation of discounted returns: the critics regress
     Q / reward_scale, and `Critic.scale` brings them back into reward units.
@@ -54,8 +54,12 @@ class SACUpdate:
             self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in masters.items()}
         self._weights = {name: _joined(network) for name, network in masters.items()}
         self._used = {name: _joined(network) for name, network in self._networks.items()} if self._networks is not masters else {}
-        learned = {name: torch.nn.Parameter(self._weights[name]) for name in ("actor", "critic")} | {"temperature": self.log_temperature}
-        self.optimisers = {name: torch.optim.Adam([weights], sac.learning_rate, fused=True) for name, weights in learned.items()}
+        learned = {name: torch.nn.Parameter(self._weights[name]) for name in ("actor", "critic")}
+        self._gradients = {name: _gradients(weights, masters[name]) for name, weights in learned.items()}
+        self.optimisers = {
+            "actor": torch.optim.Adam([learned["actor"], self.log_temperature], sac.learning_rate, fused=True),
+            "critic": torch.optim.Adam([learned["critic"]], sac.learning_rate, fused=True),
+        }
         self.step = 0
 
     def normalise(self, mean: Tensor, std: Tensor, reward_scale: float) -> None:
@@ -84,7 +88,7 @@ class SACUpdate:
             optimiser.param_groups[0]["lr"] = rate
 
     def update(self, batch: tuple[Tensor, Tensor, Tensor, Tensor, Tensor]) -> None:
-        """One step of the critics, every `actor_every` also one of policy and temperature, and one of the targets."""
+        """One step of the critics and their targets; every `actor_every` also one of policy and temperature."""
         state, action, reward, next_state, discount = (value.to(self.device) for value in batch)
         state, next_state = self.critic.normalise(state), self.critic.normalise(next_state)
         temperature = self.log_temperature.detach().exp()
@@ -96,15 +100,13 @@ class SACUpdate:
             value = target.network(next_state, next_action).amin(0) - temperature * log_prob
             y = reward / self.critic.scale + discount * value
         self._descend("critic", F.mse_loss(critic.network(state, action), y.expand(2, -1)))
-        if self.step % self.sac.actor_every == 0:
-            new_action, log_prob = self.sample(state)
-            self._descend("actor", (temperature * log_prob - critic.network(state, new_action).amin(0)).mean())
-            surplus = -log_prob.detach().mean() - self.sac.target_entropy * action.shape[1]
-            self.log_temperature.grad = surplus
-            self.optimisers["temperature"].step()
-        with torch.no_grad():
+        with torch.no_grad():  # here, while the critics' weights are in the cache
             self._weights["target"].lerp_(self._weights["critic"], self.sac.tau)
         self._copy("target")
+        if self.step % self.sac.actor_every == 0:
+            new_action, log_prob = self.sample(state)
+            self.log_temperature.grad = -log_prob.detach().mean() - self.sac.target_entropy * action.shape[1]
+            self._descend("actor", (temperature * log_prob - critic.network(state, new_action).amin(0)).mean())
         self.step += 1
 
     def sample(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
@@ -117,10 +119,10 @@ class SACUpdate:
         return torch.tanh(before).to(normal_state.dtype), -surprise.sum(-1) - mean.shape[-1] * LOG_UNIT
 
     def _descend(self, name: str, loss: Tensor) -> None:
-        gradients = torch.autograd.grad(loss, list(self._networks[name].parameters()))
-        optimiser = self.optimisers[name]
-        optimiser.param_groups[0]["params"][0].grad = parameters_to_vector(gradients).float()
-        optimiser.step()
+        found = torch.autograd.grad(loss, list(self._networks[name].parameters()))
+        for place, gradient in zip(self._gradients[name], found):
+            place.copy_(gradient)
+        self.optimisers[name].step()
         self._copy(name)
 
     def _copy(self, name: str) -> None:
@@ -158,6 +160,13 @@ def _joined(network: torch.nn.Module) -> Tensor:
     weights = parameters_to_vector(network.parameters())
     vector_to_parameters(weights, network.parameters())
     return weights
+
+
+def _gradients(weights: Tensor, network: torch.nn.Module) -> list[Tensor]:
+    """`weights.grad` (P,) seen in the shapes of the parameters of `network`, so that each gradient is converted to its place."""
+    weights.grad = torch.zeros_like(weights)
+    shapes = [parameter.shape for parameter in network.parameters()]
+    return [part.view(shape) for part, shape in zip(weights.grad.split([shape.numel() for shape in shapes]), shapes)]
 
 
 def _initialise(actor: Expert, generator: torch.Generator) -> None:
