@@ -106,9 +106,8 @@ def critic(root: Path, slug: str, task: str, rng: np.random.Generator, skill: fl
         q = skill * returns + (1 - skill) * rng.normal(size=16)
         rank = float(pd.Series(q).corr(pd.Series(returns), method="spearman"))
         found.append(rank)
-        rows += [(state, "clean", 0, k, "near", a, 0.1, b, rank) for k, (a, b) in enumerate(zip(q, returns, strict=True))]
-    columns = ["state", "perturbation", "scale", "candidate", "source", "q", "q_std", "return", "rank_correlation"]
-    pd.DataFrame(rows, columns=columns).to_csv(folder.path / "within_state.csv", index=False)
+        rows += [(state, "near", a, b) for a, b in zip(q, returns, strict=True)]
+    pd.DataFrame(rows, columns=["state", "source", "q", "return"]).to_csv(folder.path / "within_state.csv", index=False)
     mean, half = float(np.mean(found)), 2.04 * float(np.std(found)) / 32**0.5
     within = {"mean": mean, "low": mean - half, "high": mean + half, "states": 32, "candidates": 16}
     folder.lines("metrics.jsonl", [{"step": s, "value_loss": 1 / s, "branch_loss": 2 / s, "target_shift": "nan" if s == 1 else 0.1} for s in range(1, 2000, 100)])

@@ -46,19 +46,18 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
     first = tried.starts
     returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
     q = _values(critic, tried.state[first], tried.action[first])
-    q_mean, q_std = q.mean(0).reshape(returns.shape), q.std(0).reshape(returns.shape)
-    correlation = rank_correlations(q_mean, returns)
-    _write(table, chosen, sources, q_mean, q_std, returns, correlation)
+    q = q.mean(0).reshape(returns.shape)
+    _write(table, sources, q, returns)
     near = [k for k, source in enumerate(sources) if source != "uniform"]
     spread = float(critic.spread)
     return {
         "bellman_error": bellman_error(critic, data, gamma),
         "rank_correlation_monte_carlo": _monte_carlo(critic, data, kinds, limit, gamma, quality.tail),
-        "within_state": interval(correlation) | {"candidates": quality.candidates},
-        "within_state_near": interval(rank_correlations(q_mean[:, near], returns[:, near])) | {"candidates": len(near)},
-        "prefers_expert": _preferences(sources, q_mean, returns),
+        "within_state": interval(rank_correlations(q, returns)) | {"candidates": quality.candidates},
+        "within_state_near": interval(rank_correlations(q[:, near], returns[:, near])) | {"candidates": len(near)},
+        "prefers_expert": _preferences(sources, q, returns),
         "gain_of_best_candidate": {
-            "critic": float((returns[np.arange(len(returns)), q_mean.argmax(1)] - returns[:, 0]).mean() / spread),
+            "critic": float((returns[np.arange(len(returns)), q.argmax(1)] - returns[:, 0]).mean() / spread),
             "simulator": float((returns.max(1) - returns[:, 0]).mean() / spread),
         },
         "spread": spread,
@@ -139,12 +138,10 @@ def _values(critic: Critic, state: np.ndarray, action: np.ndarray) -> np.ndarray
     return critic(torch.from_numpy(state).to(device), torch.from_numpy(action).to(device)).cpu().numpy()
 
 
-def _write(table: Path, visits: list[Visit], sources: list[str], q, q_std, returns, correlation) -> None:
+def _write(table: Path, sources: list[str], q: np.ndarray, returns: np.ndarray) -> None:
     """One row per state and candidate; Q and returns in reward units."""
     with open(table, "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["state", "perturbation", "scale", "candidate", "source", "q", "q_std", "return", "rank_correlation"])
-        for v, visit in enumerate(visits):
-            for k, source in enumerate(sources):
-                figures = (q[v, k], q_std[v, k], returns[v, k], correlation[v])
-                writer.writerow([v, *visit.kind, k, source, *(f"{float(figure):.6g}" for figure in figures)])
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["state", "source", "q", "return"])
+        for v in range(len(q)):
+            writer.writerows([v, source, f"{q[v, k]:.6g}", f"{returns[v, k]:.6g}"] for k, source in enumerate(sources))

@@ -90,7 +90,7 @@ def candidates(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[st
 
 def ranks(candidates: pd.DataFrame) -> np.ndarray:
     """(states,): the rank correlation within each state; states whose candidates all return the same have none."""
-    return candidates.groupby("state")["rank_correlation"].first().dropna().to_numpy()
+    return np.array([rank for _, of_state in candidates.groupby("state") if not np.isnan(rank := of_state["q"].corr(of_state["return"], method="spearman"))])
 
 
 def backbones(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFrame:
