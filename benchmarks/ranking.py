@@ -16,7 +16,8 @@ from acgd.config import zoo
 from acgd.config.critic import CriticConfig
 from acgd.config.task import TaskConfig
 from acgd.critics.gather import Visit, branches, candidates, rollouts
-from acgd.critics.quality import discounted, one_per_episode, rank_correlations
+from acgd.critics.quality import discounted, one_per_episode
+from acgd.critics.ranks import rank_correlations
 from acgd.experts.policy import Expert
 from acgd.tasks import registry
 from acgd.tasks.lockstep import Lockstep

@@ -16,6 +16,7 @@ from acgd.config.critic import CriticConfig
 from acgd.experts.q_ensemble import Critic
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.perturbations import Kind
+from acgd.critics.ranks import rank_correlations
 from acgd.critics.transitions import Transitions
 from acgd.experts.policy import Expert
 from acgd.tasks.lockstep import Lockstep
@@ -45,8 +46,7 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
         tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
     first = tried.starts
     returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
-    q = _values(critic, tried.state[first], tried.action[first])
-    q = q.mean(0).reshape(returns.shape)
+    q = _values(critic, tried.state[first], tried.action[first]).mean(0).reshape(returns.shape)
     _write(table, sources, q, returns)
     near = [k for k, source in enumerate(sources) if source != "uniform"]
     spread = float(critic.spread)
@@ -86,14 +86,6 @@ def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
         rows = rows[rows + j < end[rows]]
         returns[rows] += gamma**j * data.reward[rows + j].astype(np.float64)
     return returns
-
-
-def rank_correlations(q: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Spearman's correlation over the candidates of each state, (V, K), (V, K) -> (V,); nan where all returns are equal."""
-    ranks = [stats.rankdata(values, axis=1) for values in (q, returns)]
-    x, y = (r - r.mean(1, keepdims=True) for r in ranks)
-    norm = np.sqrt((x**2).sum(1) * (y**2).sum(1))
-    return np.divide((x * y).sum(1), norm, out=np.full(len(q), np.nan), where=norm > 0)
 
 
 def interval(values: np.ndarray) -> dict[str, float | int]:

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from acgd.config.report import ReportRequest
+from acgd.critics.ranks import rank_correlations
 from acgd.reports.artifact import Artifact
 from acgd.reports.ledger import places
 
@@ -90,7 +91,9 @@ def candidates(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[st
 
 def ranks(candidates: pd.DataFrame) -> np.ndarray:
     """(states,): the rank correlation within each state; states whose candidates all return the same have none."""
-    return np.array([rank for _, of_state in candidates.groupby("state") if not np.isnan(rank := of_state["q"].corr(of_state["return"], method="spearman"))])
+    q, returns = (np.stack([values for _, values in candidates.groupby("state")[name]]) for name in ("q", "return"))
+    found = rank_correlations(q, returns)
+    return found[~np.isnan(found)]
 
 
 def backbones(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFrame:
