@@ -1,4 +1,4 @@
-"""Draws docs/images/dexterous.png: BiDex and OpDex as a student sees them, at a start and solved. `PYTHONPATH=. python docs/images/dexterous.py`"""
+"""Draws docs/images/dexterous.png: BiDex and OpDex as a student sees them, at a start and solved. `python -m docs.images.dexterous`"""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Draws docs/images/tasks.png: every MyoDex task as a student sees it. `python docs/images/tasks.py`"""
+"""Draws docs/images/tasks.png: every MyoDex task as a student sees it. `python -m docs.images.tasks`"""
 
 from pathlib import Path
 
