@@ -85,7 +85,7 @@ def check(folder: Path) -> dict:
     if fitted.is_file() and json.loads(fitted.read_text()).get("expert_sha256") != found["sha256"]:
         raise ValueError(
             f"{fitted.parent} holds the critic of another policy than {folder}/policy.safetensors: restore both from the repository, "
-            "or fit it again (critic.source: fqe) and put the files of that artifact there"
+            "or take that folder away, fit the critic again (critic.source: fqe) and put the files of that artifact there"
         )
     return found
 
