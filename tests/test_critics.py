@@ -16,7 +16,7 @@ from acgd.config.task import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
 from acgd.experts.q_ensemble import Critic
-from acgd.critics.fit import fit, gather, own, spread
+from acgd.critics.fit import fit, own, spread
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
@@ -324,15 +324,6 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
     assert np.array_equal(tried.state[tried.starts], np.repeat(visit.state[None], 6, 0))
     assert np.array_equal(tried.action[tried.starts], actions[0]) and np.abs(tried.action).max() <= 1
     assert not np.array_equal(tried.next_state[tried.starts[1]], tried.next_state[0])
-
-
-def test_clean_episodes_of_the_fit_go_on_past_the_time_limit(lock: Lockstep, expert: Expert):
-    limit = 6
-    config = CriticConfig(steps=60, beyond=9, perturbation=PerturbationConfig(clean=0.5, gaussian=0.5, bursts=0), branches=BranchConfig(states=0))
-    data = gather(lock, expert, limit, config, QUIET)
-    lengths = (data.ends - data.starts)[~data.terminated[data.ends - 1]]
-    clean = np.array([data.on_policy[start:end].all() for start, end in zip(data.starts, data.ends)])[~data.terminated[data.ends - 1]]
-    assert set(lengths[clean]) == {limit + 9} and set(lengths[~clean]) == {limit}
 
 
 class Interrupting(Progress):

@@ -57,12 +57,6 @@ class CriticConfig(Section):
     dueling: bool = Field(True, description="Q = V(s) + A(s, a), a network each; without it one network for both.")
     action_space: Literal["raw", "excitation"] = Field("excitation", description="Read actions as they are, or as the muscle excitation that MyoSuite makes of them.")
     steps: PositiveInt = Field(6000, description="Simulator steps of rollouts, to the end of the last episode; branches come on top.")
-    beyond: int = Field(
-        0,
-        ge=0,
-        description="Steps for which clean episodes go on past the time limit: states near it are then fitted to rewards, not to what Q makes of states "
-        "that it has not been fitted to.",
-    )
     perturbation: PerturbationConfig = PerturbationConfig()
     branches: BranchConfig = BranchConfig()
     horizon: PositiveInt = Field(64, description="Rewards summed before bootstrapping while the expert's mean is followed; 1 is one-step fitted Q evaluation.")

@@ -97,7 +97,7 @@ def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, pro
     branch = config.branches if config.source == "fqe" else config.branches.model_copy(update={"states": 0})
     with progress(config.steps, "critic: rollouts, steps") as bar:
         data, visits, _ = rollouts(
-            lock, expert, config.perturbation, SEEDS.critic_fit, limit=limit, beyond=config.beyond, steps=config.steps,
+            lock, expert, config.perturbation, SEEDS.critic_fit, limit=limit, steps=config.steps,
             visit_rate=min(1.0, VISITS_PER_BRANCH * branch.states / config.steps), seed=config.seed, bar=bar,
         )
     if not branch.states:
