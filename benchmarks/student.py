@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from acgd.artifacts.arithmetic import in_bfloat16
 from acgd.config.student import CodebookConfig, StudentConfig
 from acgd.critics.aggregate import AggregateCritic
 from acgd.experts.q_ensemble import Critic
@@ -73,7 +74,7 @@ def training_step(config: CodebookConfig, settings: StudentConfig, guided: bool)
         t = data.sample(settings.training.batch, generators["data"])
         batch = data.batch(t, generators["data"])
         states = data.states(t[:rows]) if guided else None
-        with torch.autocast("cpu", torch.bfloat16, enabled=settings.training.precision == "bfloat16"):
+        with torch.autocast("cpu", torch.bfloat16, enabled=in_bfloat16(settings.training.precision, torch.device("cpu"))):
             bc, distill, _ = student_losses(student, batch, codes[t], guidance, states, settings.training.input_noise, generators)
         optimiser.zero_grad(set_to_none=True)
         (settings.alpha * bc.mean() + (distill.mean() if guided else 0)).backward()

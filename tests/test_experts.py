@@ -147,6 +147,19 @@ def test_sac_target_moves_by_tau_and_only_the_critics_step_between_policy_update
         assert torch.allclose(after, before + 0.25 * (critic.detach() - before), atol=1e-6)
 
 
+@pytest.mark.parametrize(("instructions", "arithmetic"), [({"avx2": True}, torch.float32), ({"avx2": True, "avx512_bf16": True}, torch.bfloat16)])
+def test_bfloat16_is_asked_of_a_processor_only_where_it_has_it(instructions, arithmetic, monkeypatch):
+    """Elsewhere the same settings give what float32 gives, bit for bit."""
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: instructions)
+    weights = {}
+    for precision in ("float32", "bfloat16"):
+        update = SACUpdate(3, 2, SACConfig(width=16, batch=32, precision=precision), torch.Generator().manual_seed(0))
+        update.update(batch_of(1.0, 0.9))
+        weights[precision] = update.critic.weights[0].detach()
+    assert update._networks["critic"].weights[0].dtype == arithmetic and weights["bfloat16"].dtype == torch.float32
+    assert torch.equal(weights["float32"], weights["bfloat16"]) == (arithmetic == torch.float32)
+
+
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_sac_s_networks_batches_and_noise_meet_on_its_device(precision, monkeypatch):
     """On a device without numbers, which refuses to mix with the processor just as a GPU does."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from acgd.artifacts.atomic import replace_file
 from acgd.artifacts.graph import Plan
@@ -19,6 +19,9 @@ from acgd.artifacts.key import identity, key_of
 from acgd.artifacts.stage import Context, Inputs
 from acgd.artifacts.store import ArtifactError, Store, Workspace, check
 from acgd.config import zoo
+
+if TYPE_CHECKING:
+    import torch
 
 STAGES: dict[str, tuple[str, str]] = {
     "expert": ("acgd.config.expert:ExpertRequest", "acgd.experts.train:train"),
@@ -52,7 +55,7 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
         context = _context(space, threads, device)
         with context.metrics:
             _imported(function)(request, inputs, context)
-        return {**_usage(started, resumed), **_machine(threads, str(context.device))}
+        return {**_usage(started, resumed), **_machine(threads, context.device)}
 
     made = store.make(place, described, fill)
     _say(place, f"made in {store.path(place)}" if made else "is there already")
@@ -95,7 +98,9 @@ def _usage(started: float, resumed: bool) -> dict[str, Any]:
     }
 
 
-def _machine(threads: int, device: str) -> dict[str, Any]:
+def _machine(threads: int, device: "torch.device") -> dict[str, Any]:
+    from acgd.artifacts.arithmetic import has_bfloat16
+
     packages = ("torch", "numpy", "mujoco", "myosuite", "zarr")
     return {
         "machine": platform.node(),
@@ -103,7 +108,8 @@ def _machine(threads: int, device: str) -> dict[str, Any]:
         "processor": _processor(),
         "cores": os.cpu_count(),
         "threads": threads,
-        "device": device,
+        "device": str(device),
+        "bfloat16": has_bfloat16(device),
         "python": platform.python_version(),
         "packages": {package: version(package) for package in packages},
         "revision": _revision(),

@@ -50,7 +50,7 @@ class SACConfig(Section):
     hold: float = Field(
         default=2.0, gt=1, description="Exponent of the Zipf law of how many steps exploration noise is held; higher is shorter."
     )
-    precision: Literal["float32", "bfloat16"] = Field(default="bfloat16", description="Of the matrix products in an update.")
+    precision: Literal["float32", "bfloat16"] = Field(default="bfloat16", description="Of the matrix products in an update; bfloat16 is float32 where the hardware lacks it.")
 
 
 class DaggerConfig(Section):

@@ -26,7 +26,7 @@ class TrainingConfig(Section):
     input_noise: NonNegative = Field(
         0.03, description="standard deviation of Gaussian noise on the normalised image features and proprioception while training"
     )
-    precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training")
+    precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training; bfloat16 is float32 where the hardware lacks it")
     validate_every: Positive = Field(250, description="steps between validations; the best of them is kept")
     log_every: Positive = Field(100, description="steps between rows of metrics", json_schema_extra={"key": False})
     checkpoint_every: Positive = Field(500, description="steps between checkpoints for resumption", json_schema_extra={"key": False})

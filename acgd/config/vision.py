@@ -35,7 +35,7 @@ class BackboneConfig(Section):
     shift: int = Field(3, ge=0, description="privileged: augmentation by up to so many pixels, which are taken off the centroids.")
     brightness: float = Field(0.1, ge=0, lt=1, description="privileged: augmentation: each channel's gain is uniform in 1 +- this.")
     frames: int = Field(4000, ge=1, description="privileged: at most so many training frames a task, evenly spaced.")
-    precision: Literal["float32", "bfloat16"] = Field("bfloat16", description="privileged: arithmetic of the convolutions in training.")
+    precision: Literal["float32", "bfloat16"] = Field("bfloat16", description="privileged: arithmetic of the convolutions in training; bfloat16 is float32 where the hardware lacks it.")
     seed: int = Field(0, ge=0, description="privileged: initialisation, order of frames and augmentation.")
     checkpoint_every: int = Field(500, ge=1, description="privileged: steps between two checkpoints.", json_schema_extra={"key": False})
 
@@ -75,7 +75,7 @@ class BackboneRequest(Section):
 class FeaturesConfig(Section):
     """The pass of a frozen backbone over every frame."""
 
-    precision: Literal["float32", "bfloat16"] = Field("float32", description="Arithmetic of the backbone; features are stored as float32.")
+    precision: Literal["float32", "bfloat16"] = Field("float32", description="Arithmetic of the backbone, bfloat16 only where the hardware has it; features are stored as float32.")
     batch: int = Field(256, ge=1, description="Frames in one pass.")
 
 

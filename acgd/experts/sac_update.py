@@ -2,7 +2,7 @@
 
 Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; the weights of
 a network lie in one vector, so that Adam, the target's average and every change of precision are one call each; the networks
-run in bfloat16 where the settings say so, on copies of weights that stay in float32, as do moments, densities and returns.
+run in bfloat16 where the settings say so and the hardware can, on copies of weights that stay in float32, as do moments, densities and returns.
 """
 
 import copy
@@ -14,6 +14,7 @@ from torch.nn import functional as F
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from acgd.artifacts import checkpoint
+from acgd.artifacts.arithmetic import in_bfloat16
 from acgd.config.expert import SACConfig
 from acgd.experts.policy import LOG_STD, Expert
 from acgd.experts.q_ensemble import Critic
@@ -50,7 +51,8 @@ class SACUpdate:
         self.log_temperature = torch.nn.Parameter(torch.tensor(math.log(sac.temperature), device=device))
         masters = {"actor": self.actor.to(device), "critic": self.critic.to(device), "target": self.target.to(device)}
         self._networks = masters
-        if sac.precision == "bfloat16":
+        self._half = in_bfloat16(sac.precision, device)
+        if self._half:
             self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in masters.items()}
         self._weights = {name: _joined(network) for name, network in masters.items()}
         self._used = {name: _joined(network) for name, network in self._networks.items()} if self._networks is not masters else {}
@@ -93,7 +95,7 @@ class SACUpdate:
         state, next_state = self.critic.normalise(state), self.critic.normalise(next_state)
         temperature = self.log_temperature.detach().exp()
         critic, target = self._networks["critic"], self._networks["target"]
-        if self.sac.precision == "bfloat16":
+        if self._half:
             state, next_state, action = (value.bfloat16() for value in (state, next_state, action))
         with torch.no_grad():
             next_action, log_prob = self.sample(next_state)

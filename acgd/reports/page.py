@@ -107,5 +107,5 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
 
 def _machine(run: dict[str, Any]) -> str:
     cores = f"{run['cores']} cores" if run.get("cores") else ""
-    device = run.get("device", "")
-    return ", ".join(text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device) if text)
+    device, half = run.get("device", ""), "" if run.get("bfloat16", True) else "float32 for want of bfloat16"
+    return ", ".join(text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device, half) if text)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from acgd.artifacts import checkpoint
+from acgd.artifacts.arithmetic import in_bfloat16
 from acgd.artifacts.stage import Context
 from acgd.config.student import TrainingConfig
 
@@ -78,7 +79,7 @@ def train(
             logged = done % config.log_every == 0 or done == config.steps
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate(step, config)
-            with torch.autocast(ctx.device.type, torch.bfloat16, enabled=config.precision == "bfloat16"):
+            with torch.autocast(ctx.device.type, torch.bfloat16, enabled=in_bfloat16(config.precision, ctx.device)):
                 loss, row = step_loss(step, logged)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()

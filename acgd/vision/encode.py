@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from acgd.artifacts.arithmetic import in_bfloat16
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.vision import FeaturesConfig, FeaturesRequest
 from acgd.rollouts.dataset import Demonstrations
@@ -29,5 +30,5 @@ def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
 
 @torch.inference_mode()
 def _encode(backbone: Backbone, images: Tensor, settings: FeaturesConfig) -> Tensor:
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=in_bfloat16(settings.precision, images.device)):
         return backbone(images).float()

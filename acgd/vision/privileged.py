@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from acgd.artifacts import checkpoint
+from acgd.artifacts.arithmetic import in_bfloat16
 from acgd.artifacts.stage import Context, Inputs
 from acgd.config.vision import BackboneConfig, BackboneRequest
 from acgd.tasks.spec import TASKS
@@ -108,7 +109,7 @@ def _step(
         images, moved = shift(images, settings.shift, generator)
     if settings.brightness:
         images = brighten(images, settings.brightness, generator)
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=in_bfloat16(settings.precision, images.device)):
         loss = backbone.loss(images, moved, [each.targets[rows] for each, rows in zip(frames, drawn)])
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
