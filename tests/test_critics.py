@@ -177,6 +177,21 @@ def test_branches_of_a_state_share_one_bootstrap():
     assert z.tolist() == [[1 + 0.5 * 15, 2 + 0.5 * 15], [3 + 0.5 * 30, 4]]
 
 
+def test_differences_in_units_of_the_actions_distance():
+    """Two states with actions at 0, 0.1 and 1; returns climb by 2 and by 4 per unit of action, in the second state but for the last."""
+    data = replace(
+        linear_problem(6), action=np.array([[0], [0.1], [1], [0], [0.1], [1]], np.float32), reward=np.array([0, 0.2, 2, 0, 0.4, 0.4], np.float32),
+        terminated=np.ones(6, bool), branch=np.array([0, 0, 0, 1, 1, 1]),
+    )  # fmt: skip
+    fit = FittedQ(data, TINY.model_copy(update={"action_space": "raw", "within_state_unit": "distance"}), 0.9, CPU)
+    fit.refresh()
+    scale, near = float(fit.critic.scale), 0.1 * 0.9  # the median of 0.1, 1, 0.9, twice
+    assert (scale * fit.difference).tolist() == [pytest.approx([-0.2, -2, -1.8]), pytest.approx([-0.4, -0.4, 0], abs=1e-6)]
+    distance = np.array([0.1, 1, 0.9]) + near
+    slopes = np.array([np.sqrt(np.mean((rise / distance) ** 2)) for rise in (np.array([0.2, 2, 1.8]), np.array([0.4, 0.4, 0]))])
+    assert (scale * fit.unit).numpy() == pytest.approx((slopes + slopes.min())[:, None] * distance, rel=1e-5)  # torch's median of two is the lower
+
+
 def test_groups_of_unequal_size_are_refused():
     data = replace(linear_problem(5), branch=np.array([0, 0, 1, 1, 1]))
     with pytest.raises(ValueError, match="same number of actions"):

@@ -67,6 +67,12 @@ class CriticConfig(Section):
     weight_decay: float = Field(1.0, ge=0, description="Decoupled weight decay.")
     target_every: PositiveInt = Field(100, description="Updates between two recomputations of the targets of all transitions.")
     within_state: float = Field(1.0, ge=0, description="Weight of the regression of differences between actions of one branched state.")
+    within_state_unit: Literal["spread", "distance"] = Field(
+        "spread",
+        description="Unit of these differences: the spread of the state's returns, or the distance of the two actions times the slope of the state's returns, "
+        "so that actions close to each other count like far ones.",
+    )
+    state_noise: float = Field(0.0, ge=0, description="Standard deviation of Gaussian noise on normalised states in both regressions, one draw for all actions of a branched state.")
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")
     checkpoint_every: PositiveInt = Field(1000, description="Updates between two checkpoints.", json_schema_extra={"key": False})
     quality: QualityConfig = QualityConfig()

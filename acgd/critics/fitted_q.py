@@ -14,11 +14,13 @@ from acgd.artifacts import checkpoint
 from acgd.config.critic import CriticConfig
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
-from acgd.experts.q_ensemble import Critic
+from acgd.experts.q_ensemble import Critic, measured
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3
 """Of a state's entry: below it the entry is taken for a constant."""
+NEAREST = 0.1
+"""Share of the median distance between two actions that is added to each: the closest would else have all the weight."""
 
 
 class FittedQ:
@@ -29,7 +31,9 @@ class FittedQ:
     standardised returns:
     - (Q(s, a) - y)^2 over all transitions;
     - (dQ - dz)^2 / (spread of z in the state)^2 over branched states, where d is the difference from the mean over
-      the actions tried in that state. The value of the state, which dominates the first, is not in the second.
+      the actions tried in that state. The value of the state, which dominates the first, is not in the second. Or, where
+      `within_state_unit` says so, d is the difference of two of these actions and its unit their distance times the slope of z
+      in the state: otherwise the actions far from the expert's, whose returns differ most, drown the order of those near it.
       z is y with one bootstrap for all branches of the state, the mean over those that did not terminate: the
       expert has brought them together by then, and what Q_target still sees between them is its own error (on
       myo/reach, 16-step branches rank actions at .95 of the full returns so, at .74 with y).
@@ -47,6 +51,7 @@ class FittedQ:
         self.used, self.slot = torch.unique(self.targets.bootstrap, return_inverse=True)
         self.groups = branched_rows(data.branch, config.branches.actions).to(device)
         """(G, K) rows of the first actions tried in each branched state."""
+        self.distance = self._distances() if config.within_state_unit == "distance" and len(self.groups) else None
         dims = data.state.shape[1], data.action.shape[1]
         self.critic = Critic(*dims, config.members, config.width, config.depth, config.action_space, config.dueling, self.generator)
         self.critic.to(device)
@@ -77,12 +82,12 @@ class FittedQ:
         if len(self.groups) and config.within_state:
             picked = torch.randint(len(self.groups), (config.branch_batch,), generator=self.generator).to(self.device)
             rows = torch.cat([rows, self.groups[picked].flatten()])
-        q = critic.standard(self.state[rows], self.action[rows])
+        q = critic.network(self._blurred(critic.normalise(self.state[rows])), self.action[rows])
         value_loss = (q - self.y[:, rows]).square().mean(1).sum()
         loss = value_loss
         if len(self.groups) and config.within_state:
             inner = q[:, config.batch :].unflatten(1, (config.branch_batch, -1))
-            inner = (inner - inner.mean(2, keepdim=True) - self.difference[picked]) / self.group_spread[picked, None]
+            inner = (self._differences(inner) - self.difference[picked]) / self.unit[picked]
             branch_loss = inner.square().mean((1, 2)).sum()
             loss = loss + config.within_state * branch_loss
             if told:
@@ -94,6 +99,15 @@ class FittedQ:
         if told:
             told["value_loss"] = float(value_loss.detach()) / config.members
         return told
+
+    def _blurred(self, state: Tensor) -> Tensor:
+        """Normalised states (batch + G' K, S) with `state_noise`, the same for all actions of a branched state: a smooth advantage is one that
+        other states share, and what a fit makes of each state alone is lost."""
+        if not self.config.state_noise:
+            return state
+        single, actions = self.config.batch, self.config.branches.actions
+        noise = torch.randn(single + (len(state) - single) // actions, state.shape[1], generator=self.generator).to(self.device)
+        return state + self.config.state_noise * torch.cat([noise[:single], noise[single:].repeat_interleave(actions, 0)])
 
     @torch.no_grad()
     def refresh(self) -> dict[str, float]:
@@ -121,9 +135,23 @@ class FittedQ:
         self.z = z
         if not len(z):
             return
-        self.difference, spread = z - z.mean(1, keepdim=True), z.std(1)
+        self.difference = self._differences(z)
+        scale = 1.0 if self.distance is None else self.distance
+        spread = z.std(1) if self.distance is None else (self.difference / scale).square().mean(1).sqrt()
         # States in which the action hardly matters would otherwise teach their noise.
-        self.group_spread = (spread + spread.median()).clamp_min(1e-6)
+        self.unit = (spread + spread.median()).clamp_min(1e-6)[:, None] * scale
+
+    def _distances(self) -> Tensor:
+        """(G, P) between the actions of each of the P pairs of a branched state, as the critic reads them"""
+        found = self._differences(measured(self.action[self.groups], self.config.action_space).movedim(2, 0)).norm(dim=0)
+        return found + NEAREST * found.median()
+
+    def _differences(self, values: Tensor) -> Tensor:
+        """(..., K) of the actions of a branched state -> (..., K) from their mean, or (..., P) between the two of each pair."""
+        if self.config.within_state_unit == "spread":
+            return values - values.mean(-1, keepdim=True)
+        first, second = torch.triu_indices(values.shape[-1], values.shape[-1], 1)
+        return values[..., first] - values[..., second]
 
     # -- checkpoint --------------------------------------------------------------------------------
 
