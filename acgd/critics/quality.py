@@ -35,7 +35,7 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
     """
     quality, gamma = config.quality, expert.meta["gamma"]
     noise = np.random.default_rng([config.seed, 1])
-    with progress(quality.states * limit, "quality: held-out rollouts, steps at most") as bar:
+    with progress(quality.states * (limit + quality.tail), "quality: held-out rollouts, steps at most") as bar:
         data, visits, kinds = rollouts(
             lock, expert, config.perturbation, SEEDS.critic_quality, limit=limit, beyond=quality.tail,
             episodes=quality.states, visit_rate=VISIT_RATE, seed=config.seed, bar=bar,
