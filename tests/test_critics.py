@@ -192,6 +192,16 @@ def test_differences_in_units_of_the_actions_distance():
     assert (scale * fit.unit).numpy() == pytest.approx((slopes + slopes.min())[:, None] * distance, rel=1e-5)  # torch's median of two is the lower
 
 
+def test_noise_on_states_is_one_draw_for_all_actions_of_a_branched_state():
+    data = concatenate([linear_problem(60), replace(linear_problem(12), branch=np.repeat(np.arange(4), 3))])
+    fit = FittedQ(data, TINY.model_copy(update={"state_noise": 0.5, "batch": 2000}), 0.9, CPU)
+    moved = fit._blurred(torch.ones(2000 + 2 * 3, 1)) - 1  # TINY has three actions a state
+    assert float(moved[:2000].std()) == pytest.approx(0.5, rel=0.1)
+    first, second = moved[2000:2003, 0].tolist(), moved[2003:, 0].tolist()
+    assert len(set(first)) == len(set(second)) == 1 and first[0] != second[0]
+    assert torch.equal(FittedQ(data, TINY, 0.9, CPU)._blurred(torch.ones(6, 1)), torch.ones(6, 1))
+
+
 def test_groups_of_unequal_size_are_refused():
     data = replace(linear_problem(5), branch=np.array([0, 0, 1, 1, 1]))
     with pytest.raises(ValueError, match="same number of actions"):

@@ -136,10 +136,12 @@ class FittedQ:
         if not len(z):
             return
         self.difference = self._differences(z)
-        scale = 1.0 if self.distance is None else self.distance
-        spread = z.std(1) if self.distance is None else (self.difference / scale).square().mean(1).sqrt()
+        if self.distance is None:
+            spread, distance = z.std(1), 1.0
+        else:
+            spread, distance = (self.difference / self.distance).square().mean(1).sqrt(), self.distance
         # States in which the action hardly matters would otherwise teach their noise.
-        self.unit = (spread + spread.median()).clamp_min(1e-6)[:, None] * scale
+        self.unit = (spread + spread.median()).clamp_min(1e-6)[:, None] * distance
 
     def _distances(self) -> Tensor:
         """(G, P) between the actions of each of the P pairs of a branched state, as the critic reads them"""
