@@ -6,9 +6,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from acgd.artifacts.store import ArtifactError, Store
-from acgd.artifacts.versions import STAGES
-from acgd.config.load import ConfigError
+from acgd.store.store import ArtifactError, Store
+from acgd.store.versions import STAGES
+from acgd.study.load import ConfigError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,7 +71,7 @@ def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
     verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
 
     def run(options: argparse.Namespace) -> None:
-        from acgd.artifacts import commands
+        from acgd.study import commands
 
         getattr(commands, command)(Store(options.store), options.studies, *(getattr(options, name) for name in extra))
 
@@ -79,7 +79,7 @@ def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
 
 
 def _make(options: argparse.Namespace) -> None:
-    from acgd.artifacts.job import make, read_request
+    from acgd.store.job import make, read_request
 
     job = read_request(options.request)
     if job["stage"] != options.stage:
@@ -88,13 +88,13 @@ def _make(options: argparse.Namespace) -> None:
 
 
 def _verify(options: argparse.Namespace) -> None:
-    from acgd.artifacts.commands import verify
+    from acgd.study.commands import verify
 
     verify(Store(options.store), options.repair)
 
 
 def _mirror(options: argparse.Namespace) -> None:
-    from acgd.artifacts import commands, names
+    from acgd.study import commands, names
 
     store = Store(options.store)
     if options.configuration is None:
@@ -106,7 +106,7 @@ def _mirror(options: argparse.Namespace) -> None:
 
 
 def _publish(options: argparse.Namespace) -> None:
-    from acgd.artifacts import names
+    from acgd.study import names
 
     plan = _planned(options.configuration)
     if names.fingerprint(plan) != options.fingerprint:
@@ -115,14 +115,14 @@ def _publish(options: argparse.Namespace) -> None:
 
 
 def _planned(configuration: str):
-    from acgd.artifacts.graph import plan
-    from acgd.config.study import load_study
+    from acgd.study.plan import plan
+    from acgd.study.study import load_study
 
     return plan(load_study(json.loads(configuration)))
 
 
 def _schema(options: argparse.Namespace) -> None:
-    from acgd.config.reference import write
+    from acgd.study.reference import write
 
     write(options.docs)
 

@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from acgd.config.evaluation import EvaluationConfig
-from acgd.config.student import ActingConfig, CodebookConfig
-from acgd.config.task import TaskConfig
-from acgd.config.vision import BackboneConfig
+from acgd.evaluation.settings import EvaluationConfig
+from acgd.students.settings import ActingConfig, CodebookConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.vision.settings import BackboneConfig
 from acgd.evaluation.evaluate import StudentPolicy
 from acgd.students.acting import Actor
 from acgd.students.codebook import Sizes
 from acgd.students.student import Student
-from acgd.tasks.lockstep import Lockstep
+from acgd.simulate.lockstep import Lockstep
 from acgd.vision.cnn import SmallCNN
 from benchmarks.row import Row
 

@@ -10,9 +10,9 @@ import gymnasium
 import numpy as np
 import torch
 
-from acgd.config.expert import ExpertRequest, SACConfig
-from acgd.config.task import TaskConfig
-from acgd.experts.sac_update import SACUpdate
+from acgd.experts.settings import ExpertRequest, SACConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.experts.sac.update import SACUpdate
 from acgd.experts.training_env import StateOnly
 from benchmarks.row import Row
 

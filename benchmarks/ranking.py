@@ -12,16 +12,16 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from acgd.config import zoo
-from acgd.config.critic import CriticConfig
-from acgd.config.task import TaskConfig
+from acgd.experts import zoo
+from acgd.critics.settings import CriticConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.quality import discounted, one_per_episode
 from acgd.critics.ranks import rank_correlations
 from acgd.experts.policy import Expert
 from acgd.tasks import registry
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tasks.snapshot import STATE
 from acgd.tracking.progress import Progress
 from benchmarks.row import Row

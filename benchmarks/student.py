@@ -7,10 +7,10 @@ from collections.abc import Callable
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from acgd.artifacts.arithmetic import in_bfloat16
-from acgd.config.student import CodebookConfig, StudentConfig
+from acgd.store.precision import in_bfloat16
+from acgd.students.settings import CodebookConfig, StudentConfig
 from acgd.critics.aggregate import AggregateCritic
-from acgd.experts.q_ensemble import Critic
+from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
 from acgd.students import losses
 from acgd.students.codebook import Codebook, Sizes

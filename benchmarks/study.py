@@ -12,10 +12,10 @@ from pathlib import Path
 
 import yaml
 
-from acgd.artifacts.graph import plan
-from acgd.artifacts.store import RUN, Store
-from acgd.config.load import read_yaml
-from acgd.config.study import load_study
+from acgd.study.plan import plan
+from acgd.store.store import RUN, Store
+from acgd.study.load import read_yaml
+from acgd.study.study import load_study
 from benchmarks.row import Row
 
 MOST_MINUTES, MOST_GB = 20.0, 6.0

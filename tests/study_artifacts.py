@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import zarr
 
-from acgd.config.report import ReportConfig, ReportEntry, ReportRequest
+from acgd.reports.settings import ReportConfig, ReportEntry, ReportRequest
 from acgd.evaluation.clips import write_mp4
 
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")

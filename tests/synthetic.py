@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from acgd.artifacts.stage import Context
-from acgd.config.student import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
-from acgd.config.task import TaskConfig
-from acgd.config.vision import BackboneConfig
-from acgd.experts.q_ensemble import Critic
+from acgd.store.stage import Context
+from acgd.students.settings import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.vision.settings import BackboneConfig
+from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.store import write_group
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress

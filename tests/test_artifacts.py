@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from acgd.artifacts import commands, job, names
-from acgd.artifacts.graph import plan
-from acgd.artifacts.store import ArtifactError, Store, check
-from acgd.config.load import ConfigError
-from acgd.config.study import load_study
+from acgd.store import job
+from acgd.study import commands, names
+from acgd.study.plan import plan
+from acgd.store.store import ArtifactError, Store, check
+from acgd.study.load import ConfigError
+from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 PLACE = "critic/myo-reach/0123456789abcdef"
@@ -24,7 +25,7 @@ RUN = {"wall_s": 1.0}
 MAKER = """
 import sys, time, os, signal
 from pathlib import Path
-from acgd.artifacts.store import Store
+from acgd.store.store import Store
 place, results, mode = sys.argv[1:]
 def fill(space):
     print("filling", flush=True)
@@ -326,7 +327,7 @@ def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store
     for artifact in made:
         job.make(json.loads(artifact.job), store, threads=1, device="cpu")
         check(store.path(artifact.place))
-    monkeypatch.setattr("acgd.config.zoo.fitted_critic", lambda task: (ROOT / "Makefile",))
+    monkeypatch.setattr("acgd.experts.zoo.fitted_critic", lambda task: (ROOT / "Makefile",))
     assert plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})).names["base/critic"][0].key != made[1].key
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from acgd.artifacts.graph import plan
-from acgd.artifacts.store import Store
-from acgd.config.study import load_study
+from acgd.study.plan import plan
+from acgd.store.store import Store
+from acgd.study.study import load_study
 from benchmarks import study, table
 from benchmarks.study import Job, busy_seconds, peak_bytes
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.config.task import TaskConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks import bottle, registry, scissors, shadow, switch
 from acgd.tasks.dexterous import DexterousTask
 from tests.open_loop import SOLUTIONS, follow

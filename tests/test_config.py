@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from acgd.config import reference
-from acgd.config.load import ConfigError, merge, read_yaml
-from acgd.config.study import Study, load_study
-from acgd.config.variants import expanded
+from acgd.study import reference
+from acgd.study.load import ConfigError, merge, read_yaml
+from acgd.study.study import Study, load_study
+from acgd.study.variants import expanded
 
 ROOT = Path(__file__).parents[1]
 TRAINED = {"expert": {"source": "train"}}
@@ -66,7 +66,7 @@ def test_every_fault_has_its_line():
 
 
 def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("acgd.config.zoo.ROOT", tmp_path)
+    monkeypatch.setattr("acgd.experts.zoo.ROOT", tmp_path)
     stocked = tmp_path / "myo-pose"
     stocked.mkdir()
     for name in ("policy.safetensors", "policy.json", "card.json", "curve.csv"):
@@ -93,7 +93,7 @@ def test_experts_and_critics_that_do_not_go_together(content, said):
 
 
 def test_without_a_zoo_critic_the_tasks_that_have_one_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("acgd.config.zoo.has_fitted_critic", lambda task: task == "myo/pose")
+    monkeypatch.setattr("acgd.experts.zoo.has_fitted_critic", lambda task: task == "myo/pose")
     with pytest.raises(ConfigError, match="critic.source: zoo/ has no critic for myo/reach. .*fqe.*it has: myo/pose"):
         load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})
     load_study({"tasks": ["myo/pose"], "critic": {"source": "zoo"}})
@@ -152,7 +152,7 @@ def test_a_study_survives_the_way_to_json_and_back():
 
 
 def test_the_studies_that_are_shipped_are_valid(monkeypatch):
-    monkeypatch.setattr("acgd.config.zoo.missing", lambda task: [])
+    monkeypatch.setattr("acgd.experts.zoo.missing", lambda task: [])
     for file in [ROOT / "config.yaml", *sorted((ROOT / "studies").glob("*.yaml"))]:
         load_study(read_yaml(file))
 

@@ -9,13 +9,13 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from acgd.artifacts.stage import Context
-from acgd.config import zoo
-from acgd.config.critic import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
-from acgd.config.task import TaskConfig
+from acgd.store.stage import Context
+from acgd.experts import zoo
+from acgd.critics.settings import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
-from acgd.experts.q_ensemble import Critic
+from acgd.nn.q_ensemble import Critic
 from acgd.critics.fit import fit, own, spread
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
@@ -23,8 +23,8 @@ from acgd.critics.perturbations import kinds, offsets
 from acgd.critics.targets import targets
 from acgd.critics.transitions import ROLLOUT, Transitions, concatenate
 from acgd.experts.policy import Expert
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.metrics import Metrics, read
 from acgd.tracking.progress import Progress
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from acgd.config.expert import DaggerConfig
-from acgd.config.task import TaskConfig
-from acgd.experts import detour_search
-from acgd.experts.detours import CLENCHED, DETOURS, Detour
+from acgd.experts.settings import DaggerConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.experts.muscle import detour_search
+from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
 from acgd.tasks import registry
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS
 
 TEACHER = DaggerConfig(rate=2.5, damping=0.3)
 

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.config.rollouts import RolloutsConfig
-from acgd.config.task import TaskConfig
+from acgd.collection.settings import RolloutsConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.experts.policy import Expert
-from acgd.rollouts.episode import run_wave
+from acgd.collection.episode import run_wave
 from acgd.tasks import allegro, registry, spray
 from acgd.tasks.dexterous import AFTERWARDS, SCENES, SMOOTHING, DexterousTask
-from acgd.tasks.lockstep import Lockstep
+from acgd.simulate.lockstep import Lockstep
 from acgd.tasks.snapshot import Snapshot
 from acgd.tasks.spray import BOTTLES, HOLD_STEPS, SprayScene
 from tests.open_loop import SOLUTIONS, follow

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from acgd.config.load import validated
-from acgd.config.study import Study
+from acgd.study.load import validated
+from acgd.study.study import Study
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -10,10 +10,10 @@ import torch
 from imageio_ffmpeg import count_frames_and_secs, read_frames
 from scipy.stats import binomtest
 
-from acgd.artifacts.stage import Context
-from acgd.config.evaluation import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
-from acgd.config.student import CodebookConfig
-from acgd.config.task import TaskConfig
+from acgd.store.stage import Context
+from acgd.evaluation.settings import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
+from acgd.students.settings import CodebookConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.clips import film, filming, write_mp4
 from acgd.evaluation.controls import CONTROLS, controls, nearest, replay
 from acgd.evaluation.episodes import Episode, Label, expert_policy, padded, read, roll, run, seeds_of
@@ -27,8 +27,8 @@ from acgd.rollouts.store import write_group
 from acgd.students.codebook import Sizes
 from acgd.students.student import Student
 from acgd.tasks import registry
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 

@@ -8,17 +8,20 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from acgd.config import zoo
-from acgd.config.expert import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
-from acgd.config.task import TaskConfig
-from acgd.experts import dagger, ppo, sac, train
-from acgd.experts.muscle_control import MuscleControl
+from acgd.experts import zoo
+from acgd.experts.settings import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.experts import train
+from acgd.experts.muscle import learn as dagger
+from acgd.experts.ppo import learn as ppo
+from acgd.experts.sac import learn as sac
+from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.policy import LOG_STD, Expert
-from acgd.experts.q_ensemble import Critic
-from acgd.experts.replay import Replay
-from acgd.experts.sac_update import SACUpdate
+from acgd.nn.q_ensemble import Critic
+from acgd.experts.sac.replay import Replay
+from acgd.experts.sac.update import SACUpdate
 from acgd.experts.training_env import StateOnly
-from acgd.tasks.excitation import excitation
+from acgd.nn.excitation import excitation
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from acgd.artifacts import key, versions
-from acgd.artifacts.graph import plan
-from acgd.config import zoo
-from acgd.config.load import merge
-from acgd.config.study import load_study
+from acgd.store import key, versions
+from acgd.study.plan import plan
+from acgd.experts import zoo
+from acgd.study.load import merge
+from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 BASE = {
@@ -204,8 +204,8 @@ def test_canonical_json_refuses_what_has_no_equal():
 
 def test_planning_imports_no_simulator_and_no_network_library():
     code = (
-        "import sys; from acgd.artifacts.graph import plan; from acgd.config.study import load_study;"
-        "plan(load_study({'expert': {'source': 'train'}})); import acgd.artifacts.commands, acgd.__main__;"
+        "import sys; from acgd.study.plan import plan; from acgd.study.study import load_study;"
+        "plan(load_study({'expert': {'source': 'train'}})); import acgd.study.commands, acgd.__main__;"
         "print(*{'torch', 'mlflow', 'mujoco', 'gymnasium', 'numpy', 'pandas'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from acgd.artifacts.graph import plan
-from acgd.artifacts.job import request_file, write_requests
-from acgd.artifacts.store import Store, check
-from acgd.config import zoo
-from acgd.config.load import read_yaml
-from acgd.config.study import load_study
+from acgd.study.plan import plan
+from acgd.store.job import request_file, write_requests
+from acgd.store.store import Store, check
+from acgd.experts import zoo
+from acgd.study.load import read_yaml
+from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "tests/miniature.yaml"

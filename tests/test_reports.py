@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from study_artifacts import TASKS, study
 
-from acgd.config.report import ReportConfig
+from acgd.reports.settings import ReportConfig
 from acgd.evaluation.intervals import wilson
 from acgd.reports import numbers
 from acgd.reports.artifact import Artifact

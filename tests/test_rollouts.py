@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from acgd.artifacts.stage import Context
-from acgd.config.rollouts import RolloutsConfig, RolloutsRequest
-from acgd.config.task import TaskConfig
+from acgd.store.stage import Context
+from acgd.collection.settings import RolloutsConfig, RolloutsRequest
+from acgd.tasks.settings import TaskConfig
 from acgd.experts.policy import Expert
-from acgd.rollouts import collect as collecting
+from acgd.collection import collect as collecting
 from acgd.rollouts.dataset import Demonstrations
-from acgd.rollouts.episode import run_wave
+from acgd.collection.episode import run_wave
 from acgd.rollouts.rerender import rerender
 from acgd.rollouts.store import DamagedStoreError, read_group, write_group
 from acgd.rollouts.windows import Windows
 from acgd.tasks import registry
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 

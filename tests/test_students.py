@@ -13,10 +13,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from acgd import students
-from acgd.artifacts.stage import Context
-from acgd.config.student import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
+from acgd.store.stage import Context
+from acgd.students.settings import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
 from acgd.critics.aggregate import AggregateCritic
-from acgd.experts.q_ensemble import Critic
+from acgd.nn.q_ensemble import Critic
 from acgd.students import fit_codebook, losses, quantizer
 from acgd.students.acting import Actor
 from acgd.students.codebook import Codebook, Sizes
@@ -29,7 +29,7 @@ from acgd.students.observer import Normaliser, Observation
 from acgd.students.quantizer import Quantizer
 from acgd.students.student import Student
 from acgd.students.training import learning_rate
-from acgd.tasks.excitation import excitation
+from acgd.nn.excitation import excitation
 from acgd.tracking import metrics
 
 STATES = (9, 12)

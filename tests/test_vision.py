@@ -9,10 +9,10 @@ import torch
 from pydantic import ValidationError
 from torch import nn
 
-from acgd.artifacts.key import file_digest
-from acgd.artifacts.stage import Context
-from acgd.config.task import TaskConfig
-from acgd.config.vision import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
+from acgd.store.key import file_digest
+from acgd.store.stage import Context
+from acgd.tasks.settings import TaskConfig
+from acgd.vision.settings import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group, write_group
 from acgd.tracking.metrics import Metrics, read

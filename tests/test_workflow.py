@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from snakemake.cli import main
 
-from acgd.artifacts import names
-from acgd.artifacts.graph import plan
-from acgd.artifacts.store import Store
-from acgd.config.load import merge
-from acgd.config.study import load_study
+from acgd.study import names
+from acgd.study.plan import plan
+from acgd.store.store import Store
+from acgd.study.load import merge
+from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 STUDY = {

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.experts.q_ensemble import STATE_CLIP, Critic, measured
+from acgd.nn.q_ensemble import STATE_CLIP, Critic, measured
 
 
 class AggregateCritic(nn.Module):

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config import zoo
-from acgd.config.critic import CriticConfig, CriticRequest
+from acgd.store.stage import Context, Inputs
+from acgd.experts import zoo
+from acgd.critics.settings import CriticConfig, CriticRequest
 from acgd.critics import quality
 from acgd.critics.fitted_q import FittedQ
 from acgd.critics.gather import CANDIDATES, branches, candidates, rollouts
 from acgd.critics.transitions import Transitions, concatenate
 from acgd.experts.policy import Expert
-from acgd.experts.q_ensemble import WEIGHTS, Critic
+from acgd.nn.q_ensemble import WEIGHTS, Critic
 from acgd.experts.train import check, sha256
-from acgd.tasks.lockstep import Lockstep
+from acgd.simulate.lockstep import Lockstep
 from acgd.tasks.spec import TASKS
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.progress import Progress
 
 ENVIRONMENTS = 8

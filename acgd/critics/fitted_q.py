@@ -10,11 +10,11 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from acgd.artifacts import checkpoint
-from acgd.config.critic import CriticConfig
+from acgd.store import checkpoint
+from acgd.critics.settings import CriticConfig
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
-from acgd.experts.q_ensemble import Critic, measured
+from acgd.nn.q_ensemble import Critic, measured
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import gymnasium
 import numpy as np
 
-from acgd.config.critic import PerturbationConfig
+from acgd.critics.settings import PerturbationConfig
 from acgd.critics.perturbations import Kind, kinds, offsets
 from acgd.critics.transitions import ROLLOUT, Recorder, Transitions
 from acgd.experts.policy import Expert
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SeedRange
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SeedRange
 from acgd.tasks.snapshot import Snapshot
 from acgd.tracking.progress import Bar
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from acgd.config.critic import PerturbationConfig
+from acgd.critics.settings import PerturbationConfig
 
 Kind = tuple[str, float]
 """("clean" | "gaussian" | "bursts", standard deviation)"""

@@ -12,15 +12,15 @@ import numpy as np
 import torch
 from scipy import stats
 
-from acgd.config.critic import CriticConfig
-from acgd.experts.q_ensemble import Critic
+from acgd.critics.settings import CriticConfig
+from acgd.nn.q_ensemble import Critic
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.perturbations import Kind
 from acgd.critics.ranks import rank_correlations
 from acgd.critics.transitions import Transitions
 from acgd.experts.policy import Expert
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.progress import Progress
 
 VISIT_RATE = 0.25

@@ -6,7 +6,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from acgd.config.task import TaskConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.episodes import Episode
 from acgd.tasks import registry
 

@@ -6,14 +6,14 @@ same seeds as a student's, so that they pair.
 
 import numpy as np
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.evaluation import ControlsRequest
+from acgd.store.stage import Context, Inputs
+from acgd.evaluation.settings import ControlsRequest
 from acgd.evaluation.episodes import Episode, Label, Policy, expert_policy, run, seeds_of, write
 from acgd.evaluation.goals import demonstration_for
 from acgd.evaluation.summary import write_summary
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
-from acgd.tasks.lockstep import Lockstep
+from acgd.simulate.lockstep import Lockstep
 
 CONTROLS = ("replay", "replay-nearest", "expert", "expert-nominal")
 """A demonstration's actions open-loop; those of the demonstration with the nearest start; the expert's mean action, from

@@ -15,12 +15,12 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from acgd.artifacts.atomic import replace_file
-from acgd.config.task import TaskConfig
+from acgd.store.atomic import replace_file
+from acgd.tasks.settings import TaskConfig
 from acgd.experts.policy import Expert
 from acgd.tasks import registry
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 from acgd.tracking.progress import Bar
 
 Policy = Callable[[dict[str, np.ndarray], int], np.ndarray]

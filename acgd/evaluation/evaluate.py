@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.evaluation import EvaluationRequest
-from acgd.config.task import TaskConfig
+from acgd.store.stage import Context, Inputs
+from acgd.evaluation.settings import EvaluationRequest
+from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.clips import film, filming
 from acgd.evaluation.episodes import Episode, Label, Policy, padded, run, seeds_of, write
 from acgd.evaluation.goals import oracle_goals, training_goals
@@ -16,7 +16,7 @@ from acgd.evaluation.summary import RULES, write_summary
 from acgd.experts.policy import Expert
 from acgd.students import load as load_student
 from acgd.students.acting import Actor
-from acgd.tasks.lockstep import Lockstep
+from acgd.simulate.lockstep import Lockstep
 from acgd.tasks.spec import TASKS
 from acgd.tracking.progress import Bar
 from acgd.vision.backbones import load as load_backbone

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.config.expert import ExpertRequest
+from acgd.experts.settings import ExpertRequest
 from acgd.experts.policy import Expert
-from acgd.experts.q_ensemble import Critic
+from acgd.nn.q_ensemble import Critic
 from acgd.experts.success import ENVIRONMENTS, episodes
-from acgd.tasks.lockstep import Lockstep
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.seeds import SEEDS
 
 
 class Curve:

@@ -8,16 +8,16 @@ from pathlib import Path
 
 from scipy.stats import binomtest
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.artifacts.versions import SIMULATOR
-from acgd.config.expert import ExpertRequest
-from acgd.config.zoo import CRITIC, CRITIC_FOLDER, FILES
-from acgd.config.zoo import ROOT as ZOO
+from acgd.store.stage import Context, Inputs
+from acgd.store.versions import SIMULATOR
+from acgd.experts.settings import ExpertRequest
+from acgd.experts.zoo import CRITIC, CRITIC_FOLDER, FILES
+from acgd.experts.zoo import ROOT as ZOO
 from acgd.experts.policy import Expert
-from acgd.experts.q_ensemble import META, WEIGHTS
+from acgd.nn.q_ensemble import META, WEIGHTS
 from acgd.experts.success import episodes
 from acgd.tasks.spec import TASKS
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS
 
 ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC", "dagger": "DAgger"}
 
@@ -41,14 +41,14 @@ def train(config: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
 def _learn(config: ExpertRequest):
     """The algorithm's training function; only its own libraries are imported."""
     if config.expert.algorithm == "sac":
-        from acgd.experts.sac import train_sac
+        from acgd.experts.sac.learn import train_sac
 
         return train_sac
     if config.expert.algorithm == "dagger":
-        from acgd.experts.dagger import train_dagger
+        from acgd.experts.muscle.learn import train_dagger
 
         return train_dagger
-    from acgd.experts.ppo import train_ppo
+    from acgd.experts.ppo.learn import train_ppo
 
     return train_ppo
 

@@ -3,9 +3,9 @@
 import gymnasium
 import numpy as np
 
-from acgd.config.expert import ExpertRequest
+from acgd.experts.settings import ExpertRequest
 from acgd.tasks import registry
-from acgd.tasks.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS
 from acgd.tasks.spec import TASKS
 from acgd.tasks.starts import ADVANCED_KINDS
 

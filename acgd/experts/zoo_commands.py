@@ -68,11 +68,11 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from acgd.config.task import TaskConfig
+    from acgd.tasks.settings import TaskConfig
     from acgd.experts.policy import Expert
     from acgd.experts.success import episodes
     from acgd.experts.train import check, other_versions, wilson
-    from acgd.tasks.seeds import SEEDS
+    from acgd.simulate.seeds import SEEDS
 
     spec, folder = _find(args.task)
     for note in other_versions(check(folder)):
@@ -90,7 +90,7 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _card(args: argparse.Namespace) -> int:
-    from acgd.config.expert import ExpertRequest
+    from acgd.experts.settings import ExpertRequest
     from acgd.experts.train import card, write_card
 
     spec, folder = _find(args.task)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.critics.ranks import rank_correlations
 from acgd.reports.artifact import Artifact
 from acgd.reports.ledger import places

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports.artifact import Artifact
 
 STUDENT = {

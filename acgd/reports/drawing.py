@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports import chain, curves, figures, success
 from acgd.reports.artifact import Artifact
 from acgd.reports.evidence import Artifacts, Evidence

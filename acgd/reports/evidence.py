@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports import chain, curves, differences, ledger, success, verdict
 from acgd.reports.artifact import Artifact
 

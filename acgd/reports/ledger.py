@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acgd.config.report import ReportEntry, ReportRequest
+from acgd.reports.settings import ReportEntry, ReportRequest
 from acgd.reports.artifact import Artifact
 
 STAGES = ("expert", "critic", "rollouts", "backbone", "features", "codebook", "student", "evaluation", "controls")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import zarr
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports.artifact import Artifact
 
 

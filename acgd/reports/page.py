@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports import ledger, numbers, success, tables, verdict
 from acgd.reports.evidence import Artifacts, Evidence
 from acgd.reports.media import Film

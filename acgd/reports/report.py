@@ -1,7 +1,7 @@
 """The stage `report`: what a study found, on one page, and the tables and figures behind it."""
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.report import ReportRequest
+from acgd.store.stage import Context, Inputs
+from acgd.reports.settings import ReportRequest
 from acgd.reports import media, success
 from acgd.reports.artifact import Artifact
 from acgd.reports.drawing import draw

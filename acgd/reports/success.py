@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from acgd.config.report import ReportEntry, ReportRequest
+from acgd.reports.settings import ReportEntry, ReportRequest
 from acgd.evaluation.intervals import over_seeds, wilson
 from acgd.reports.artifact import Artifact
 

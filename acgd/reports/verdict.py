@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from acgd.config.report import ReportRequest
+from acgd.reports.settings import ReportRequest
 from acgd.reports import numbers
 from acgd.reports.differences import ALL_TASKS, VISUAL_DROP
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from acgd.config.student import ActingConfig
+from acgd.students.settings import ActingConfig
 from acgd.students.ensembling import ensemble
 from acgd.students.student import Student
 

@@ -9,13 +9,13 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.config.student import CodebookConfig
+from acgd.students.settings import CodebookConfig
 from acgd.students import quantizer
 from acgd.students.action_encoder import ActionEncoder
 from acgd.students.decoder import Decoder
 from acgd.students.observer import Observer
 from acgd.students.quantizer import Quantizer
-from acgd.tasks.excitation import measured
+from acgd.nn.excitation import measured
 
 WEIGHTS, META = "codebook.safetensors", "codebook.json"
 

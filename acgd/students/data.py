@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from acgd.config.student import CodebookConfig
+from acgd.students.settings import CodebookConfig
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group
 from acgd.rollouts.windows import Windows

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from acgd.students.block import Block
+from acgd.nn.block import Block
 
 
 class Decoder(nn.Module):

@@ -6,11 +6,11 @@ Divided by alpha, so that neither the clipping of gradients nor a student withou
 import torch
 from torch import Tensor
 
-from acgd.artifacts.checkpoint import Generators
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.student import StudentRequest
+from acgd.store.checkpoint import Generators
+from acgd.store.stage import Context, Inputs
+from acgd.students.settings import StudentRequest
 from acgd.critics.aggregate import AggregateCritic
-from acgd.experts.q_ensemble import Critic
+from acgd.nn.q_ensemble import Critic
 from acgd.students import losses, quantizer
 from acgd.students.codebook import Codebook
 from acgd.students.data import Batch, Data

@@ -6,8 +6,8 @@ import math
 import torch
 from torch import Tensor
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.student import CodebookRequest
+from acgd.store.stage import Context, Inputs
+from acgd.students.settings import CodebookRequest
 from acgd.students import losses, quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.data import Batch, Data

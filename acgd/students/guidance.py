@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from acgd.config.student import StudentConfig
+from acgd.students.settings import StudentConfig
 from acgd.critics.aggregate import AggregateCritic
 from acgd.students import losses
 

@@ -9,14 +9,14 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.config.student import CodebookConfig
+from acgd.students.settings import CodebookConfig
 from acgd.students import quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.decoder import Decoder
 from acgd.students.latent_encoder import LatentEncoder
 from acgd.students.observer import Observation, Observer
 from acgd.students.quantizer import Quantizer
-from acgd.tasks.excitation import measured
+from acgd.nn.excitation import measured
 
 META = "student.json"
 

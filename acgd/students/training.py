@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
-from acgd.artifacts import checkpoint
-from acgd.artifacts.arithmetic import in_bfloat16
-from acgd.artifacts.stage import Context
-from acgd.config.student import TrainingConfig
+from acgd.store import checkpoint
+from acgd.store.precision import in_bfloat16
+from acgd.store.stage import Context
+from acgd.students.settings import TrainingConfig
 
 Step = Callable[[int, bool], tuple[Tensor, dict[str, float]]]
 """(step, whether it is logged) -> the loss, and what to log of it."""

@@ -11,7 +11,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.config.task import TaskConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks import spray
 from acgd.tasks.bottle import Bottle
 from acgd.tasks.observation import layout, space

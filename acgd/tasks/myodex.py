@@ -13,7 +13,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.config.task import TaskConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks import starts
 from acgd.tasks.observation import layout, space
 from acgd.tasks.snapshot import STATE, Snapshot

@@ -1,6 +1,6 @@
 """How to make a task."""
 
-from acgd.config.task import TaskConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
 

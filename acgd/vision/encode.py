@@ -4,9 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acgd.artifacts.arithmetic import in_bfloat16
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import FeaturesConfig, FeaturesRequest
+from acgd.store.precision import in_bfloat16
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import FeaturesConfig, FeaturesRequest
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import write_group
 from acgd.vision.backbones import Backbone, load

@@ -7,8 +7,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import BackboneRequest
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import BackboneRequest
 from acgd.vision.pretrained import IMAGENET_MEAN, IMAGENET_STD, Preprocess
 
 

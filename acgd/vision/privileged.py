@@ -13,10 +13,10 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.artifacts import checkpoint
-from acgd.artifacts.arithmetic import in_bfloat16
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import BackboneConfig, BackboneRequest
+from acgd.store import checkpoint
+from acgd.store.precision import in_bfloat16
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import BackboneConfig, BackboneRequest
 from acgd.tasks.spec import TASKS
 from acgd.vision.augmentation import brighten, shift
 from acgd.vision.cnn import SmallCNN

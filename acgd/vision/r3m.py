@@ -12,9 +12,9 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.artifacts.key import file_digest
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import BackboneRequest
+from acgd.store.key import file_digest
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import BackboneRequest
 from acgd.vision.pretrained import Preprocess
 from acgd.vision.resnet import DEPTHS, ResNet
 

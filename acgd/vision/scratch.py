@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import NoReturn
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import BackboneRequest
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import BackboneRequest
 
 
 def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:

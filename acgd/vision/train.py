@@ -1,7 +1,7 @@
 """The stage `backbone`: trained, or converted once from a file that somebody else trained."""
 
-from acgd.artifacts.stage import Context, Inputs
-from acgd.config.vision import BackboneRequest
+from acgd.store.stage import Context, Inputs
+from acgd.vision.settings import BackboneRequest
 from acgd.vision.backbones import BACKBONES
 
 

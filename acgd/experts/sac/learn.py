@@ -1,0 +1,203 @@
+"""Soft actor-critic on the privileged state: one task, one core, checkpoints and a curve.
+
+For tasks on which PPO needs tens of millions of steps: LayerNorm critics, n-step returns, few updates a step, and
+exploration noise that is held for a random number of steps, since muscles answer slowly. The run is cut
+into segments. Between two, episodes restart with seeds that depend on the step alone: a resumed run goes on
+exactly like an uninterrupted one.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from acgd.store import checkpoint
+from acgd.experts import zoo
+from acgd.experts.settings import ExpertRequest, ExpertSettings
+from acgd.experts.curve import Curve
+from acgd.experts.muscle.control import MuscleControl
+from acgd.experts.policy import KNOWN_STATES, Expert
+from acgd.nn.q_ensemble import Critic
+from acgd.experts.sac.replay import Replay
+from acgd.experts.sac.update import SACUpdate
+from acgd.experts.training_env import StateOnly
+
+SEGMENT = 10_000
+"""Environment steps between restarts of all episodes."""
+TEACHER_NOISE = 0.3
+"""Standard deviation of the noise on a teacher's actions."""
+LONGEST_HOLD = 16
+"""Steps that exploration noise is held at most."""
+
+
+def train_sac(
+    config: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
+) -> tuple[Expert, list[dict]]:
+    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the best expert and the learning curve.
+
+    The best is chosen by (final success, return) on validation seeds, never on the card's; its critics lie beside it.
+    """
+    settings, sac = config.expert, config.expert.sac
+    envs = [StateOnly(config, i) for i in range(sac.envs)]
+    teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start == "dagger" else []
+    state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
+    learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed), device)
+    replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
+    statistics = _Statistics(state_dim)
+    curve = Curve(config, state, metrics, [])
+    done = _load(state, learner, replay, statistics, curve)
+    if settings.first_task and not done:
+        first = zoo.folder(settings.first_task)
+        learner.start_from(Expert.load(first), Critic.load(first))
+        statistics.start_from(learner.critic)
+    metrics.rewind(done)
+    meta = {"task": config.task.name, "gamma": sac.gamma, "reward_weights": settings.reward_weights, "algorithm": "sac"}
+    learner.critic.meta = {key: meta[key] for key in ("task", "gamma", "reward_weights")}
+    due = settings.checkpoint_every
+    with progress(sac.steps, f"expert {config.task.name}", done=done) as bar:
+        while done < sac.steps:
+            before = done
+            done = min(before - before % SEGMENT + SEGMENT, sac.steps)
+            _segment(envs, teachers, learner, replay, statistics, settings, before, done)
+            told = {}
+            if done // settings.evaluate_every > before // settings.evaluate_every or done >= sac.steps:
+                temperature = float(learner.log_temperature.detach().exp())
+                point = curve.add(_export(learner, meta), done, learner.critic, temperature=temperature)
+                told = {"final": point["final"], "ret": point["return"]}
+            bar.update(done - before, **told)
+            due -= done - before
+            if due <= 0 or done >= sac.steps:
+                due = settings.checkpoint_every
+                metrics.flush()
+                replay.flush()
+                _save(state, learner, replay, statistics, curve, done)
+    return Expert.load(state / "best"), curve.points
+
+
+def _segment(
+    envs: list[StateOnly],
+    teachers: list[MuscleControl],
+    learner: SACUpdate,
+    replay: Replay,
+    statistics: "_Statistics",
+    settings: ExpertSettings,
+    first: int,
+    last: int,
+) -> None:
+    """Act and learn from environment step `first` to `last`; before learning begins, act like the teachers, if any, like the expert
+    that training starts from, if any, or at random."""
+    sac, seed = settings.sac, settings.seed
+    learner.generator.manual_seed(seed * 1_000_003 + first)
+    rng = np.random.default_rng([seed, first])
+    for i, env in enumerate(envs):
+        env.reseed([seed, first, i])
+    replay.abandon()
+    statistics.restart(len(envs))
+    states = np.stack([env.reset()[0] for env in envs])
+    noise = _HeldNoise(len(envs), envs[0].action_space.shape[0], sac.hold, rng)
+    for step in range(first, last, len(envs)):
+        if step < sac.random_steps and teachers:
+            wanted = np.stack([teacher.action() for teacher in teachers])
+            actions = np.clip(wanted + TEACHER_NOISE * noise.next(), -1, 1)
+        elif step < sac.random_steps and not settings.first_task:
+            actions = np.clip(noise.next(), -1, 1)
+        else:
+            actions = learner.actor.act(states, noise.next())
+        statistics.see(states)
+        for i, env in enumerate(envs[: last - step]):
+            after, reward, terminated, truncated, _ = env.step(actions[i])
+            replay.add(i, states[i], actions[i], reward, after, terminated, terminated or truncated)
+            statistics.reward(i, reward, sac.gamma, terminated or truncated)
+            states[i] = env.reset()[0] if terminated or truncated else after
+        if step < sac.random_steps:
+            continue
+        learner.normalise(*statistics.current())
+        learner.learning_rate(sac.learning_rate + (sac.learning_rate_end - sac.learning_rate) * step / sac.steps)
+        due = int((step + len(envs) - sac.random_steps) * sac.updates_per_step)
+        while learner.step < due:
+            learner.update(replay.sample(sac.batch, sac.replay, rng))
+
+
+class _HeldNoise:
+    """Standard normal noise (E, A) for exploration; each row is held for a number of steps with a Zipf law."""
+
+    def __init__(self, envs: int, action_dim: int, exponent: float, rng: np.random.Generator) -> None:
+        self._noise = np.zeros((envs, action_dim), np.float32)
+        self._left = np.zeros(envs, int)
+        self._exponent, self._rng = exponent, rng
+
+    def next(self) -> np.ndarray:
+        new = self._left == 0
+        self._noise[new] = self._rng.standard_normal((new.sum(), self._noise.shape[1]))
+        self._left[new] = np.minimum(self._rng.zipf(self._exponent, new.sum()), LONGEST_HOLD)
+        self._left -= 1
+        return self._noise
+
+
+class _Statistics:
+    """Running mean and spread of states, and the spread of discounted returns."""
+
+    def __init__(self, state_dim: int) -> None:
+        self.count = 0
+        self.mean, self.square = np.zeros(state_dim), np.zeros(state_dim)
+        self.returns = np.zeros(3)
+        """Count, sum and sum of squares."""
+        self._running = np.zeros(0)
+
+    def start_from(self, critic: Critic) -> None:
+        """Those that `critic` was learned with, as if KNOWN_STATES states and returns had been seen."""
+        std, scale = critic.state_std.double().cpu().numpy(), float(critic.scale)
+        self.count, self.mean, self.square = KNOWN_STATES, critic.state_mean.double().cpu().numpy(), KNOWN_STATES * std**2
+        self.returns[:] = KNOWN_STATES, 0.0, KNOWN_STATES * scale**2
+
+    def restart(self, envs: int) -> None:
+        self._running = np.zeros(envs)
+
+    def see(self, states: np.ndarray) -> None:
+        """States (E, S), weighed equally with all before."""
+        self.count += len(states)
+        delta = states - self.mean
+        self.mean += delta.sum(0) / self.count
+        self.square += (delta * (states - self.mean)).sum(0)
+
+    def reward(self, env: int, reward: float, gamma: float, ended: bool) -> None:
+        self._running[env] = gamma * self._running[env] + reward
+        self.returns += (1, self._running[env], self._running[env] ** 2)
+        if ended:
+            self._running[env] = 0.0
+
+    def current(self) -> tuple[torch.Tensor, torch.Tensor, float]:
+        """Mean and standard deviation of states (S,), float32, and the standard deviation of returns."""
+        std = np.sqrt(self.square / max(self.count, 1) + 1e-8)
+        count, total, squares = self.returns
+        spread = np.sqrt(max(squares / count - (total / count) ** 2, 1e-8))
+        return torch.from_numpy(self.mean.astype(np.float32)), torch.from_numpy(std.astype(np.float32)), float(spread)
+
+
+def _export(learner: SACUpdate, meta: dict) -> Expert:
+    actor = learner.actor
+    expert = Expert(actor.hidden1.in_features, actor.action.out_features, learner.sac.width, meta, squashed=True)
+    expert.load_state_dict(actor.state_dict())
+    return expert
+
+
+def _save(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statistics, curve: Curve, done: int) -> None:
+    tensors = learner.tensors()
+    for name in ("mean", "square", "returns"):
+        tensors[f"statistics.{name}"] = torch.from_numpy(getattr(statistics, name))
+    notes = {"done": done, "updates": learner.step, "rows": replay.count, "seen": statistics.count, "curve": curve.points}
+    checkpoint.save(state, tensors, notes)
+
+
+def _load(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statistics, curve: Curve) -> int:
+    """Go to the checkpoint if there is one; returns the environment steps done."""
+    found = checkpoint.load(state)
+    if found is None:
+        return 0
+    tensors, notes = found
+    learner.load(tensors, notes["updates"])
+    for name in ("mean", "square", "returns"):
+        setattr(statistics, name, tensors[f"statistics.{name}"].numpy().copy())
+    statistics.count, replay.count = notes["seen"], notes["rows"]
+    curve.points.extend(notes["curve"])
+    return notes["done"]

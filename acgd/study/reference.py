@@ -1,0 +1,109 @@
+"""The reference of the configuration, written from the models: docs/configuration.md and docs/schema.json."""
+
+import json
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined, to_jsonable_python
+
+from acgd.study.load import as_model
+from acgd.study.study import Study
+
+HEAD = """# Configuration
+
+Written by `python -m acgd schema` from the models in `acgd/config/`; a test notices when the two differ.
+[schema.json](schema.json) is the same for editors: `# yaml-language-server: $schema=docs/schema.json`.
+
+`config.yaml` is the default study, `studies/*.yaml` are others: `snakemake --cores 2 all --configfile studies/<study>.yaml`.
+A key that is left out has its default. Unknown keys are refused. `python -m acgd check` validates every study without running anything.
+
+**Variants.** `variants:` maps a name to overrides of any section. Maps are merged, lists are replaced.
+`{expand: [a, b]}` in place of a value gives one variant for each value, named `<variant>-<key>-<value>`:
+
+```yaml
+variants:
+  acgd: {student: {guidance: critic}}
+  no-guidance: {student: {guidance: none}}
+  demos: {rollouts: {demonstrations: {expand: [10, 30, 100]}}}   # demos-demonstrations-10, ...
+```
+
+**One task otherwise.** `overrides: {myo/reach: {expert: {source: train}}}`, for the sections `task`, `expert`, `critic` and `rollouts`.
+
+**What reruns.** The key of an artifact hashes its own sections and the keys upstream. Fields marked † are not hashed: they change
+how an artifact is made, not what it is.
+"""
+
+
+def write(docs: Path) -> None:
+    docs.mkdir(parents=True, exist_ok=True)
+    (docs / "configuration.md").write_text(markdown(), encoding="utf-8")
+    (docs / "schema.json").write_text(schema(), encoding="utf-8")
+
+
+def schema() -> str:
+    return json.dumps(Study.model_json_schema(), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def markdown() -> str:
+    """A table for the study, and one for each section."""
+    parts = [HEAD]
+    own = [(name, field) for name, field in Study.model_fields.items() if as_model(field.annotation) is None]
+    parts.append(_table("The study", "", own))
+    for name, field in Study.model_fields.items():
+        model = as_model(field.annotation)
+        if model is not None:
+            parts.append(_table(f"`{name}`", f"{field.description} {_first_paragraph(model)}", list(_leaves(model))))
+    return "\n".join(parts)
+
+
+def _leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    for name, field in model.model_fields.items():
+        inner = as_model(field.annotation)
+        if inner is not None:
+            yield from _leaves(inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", field
+
+
+def _table(title: str, text: str, rows: list[tuple[str, FieldInfo]]) -> str:
+    lines = [f"## {title}", "", *([text.strip(), ""] if text.strip() else []), "| key | type | default | |", "|---|---|---|---|"]
+    for name, field in rows:
+        mark = " †" if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("key") is False else ""
+        cells = (f"`{name}`{mark}", _type(field.annotation), _default(field), field.description or "")
+        lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _type(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type(arguments[0])
+    if origin is Literal:
+        return ", ".join(f"`{choice}`" for choice in arguments)
+    if origin in (Union, types.UnionType):
+        return " or ".join("nothing" if one is types.NoneType else _type(one) for one in arguments)
+    if origin in (tuple, list):
+        return f"list of {_type(arguments[0])}"
+    if origin is dict:
+        return "map"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "map of " + ", ".join(f"`{name}`" for name in annotation.model_fields)
+    names = {int: "whole number", float: "number", bool: "true, false", str: "text", Path: "path"}
+    return names.get(annotation, str(annotation))
+
+
+def _default(field: FieldInfo) -> str:
+    default = field.get_default(call_default_factory=True)
+    if default is PydanticUndefined:
+        return "required"
+    if default is None:
+        return ""
+    return f"`{json.dumps(to_jsonable_python(default), ensure_ascii=False)}`"
+
+
+def _first_paragraph(model: type[BaseModel]) -> str:
+    return " ".join((model.__doc__ or "").split("\n\n")[0].split())

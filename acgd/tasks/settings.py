@@ -1,0 +1,28 @@
+"""Which task, from which starts, at which image size."""
+
+import difflib
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from acgd.settings import Section
+from acgd.tasks.spec import TASKS
+
+
+class TaskConfig(Section):
+    """One task of a study. Everything that changes what a policy sees or where it starts."""
+
+    name: str = Field(description="Name of a task, such as myo/key-turn or myo/reach-hard.")
+    start: Literal["perturbed", "nominal"] = Field(
+        default="perturbed",
+        description="perturbed: robot, object and goal drawn by seed (docs/tasks.md); nominal: the suite's own reset.",
+    )
+    image_size: int = Field(default=84, ge=32, le=512, description="Height and width of the image in pixels.")
+
+    @field_validator("name")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in TASKS:
+            near = difflib.get_close_matches(name, TASKS, n=1, cutoff=0.0)
+            raise ValueError(f"unknown task {name!r}; nearest is {near[0]!r}. Tasks: {', '.join(TASKS)}")
+        return name
