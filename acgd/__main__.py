@@ -26,12 +26,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m acgd", description="ACGD: experts, critics, demonstrations, students. Stages are run by snakemake.")
+    parser = argparse.ArgumentParser(
+        prog="python -m acgd",
+        description="ACGD: experts, critics, demonstrations, students. Stages are run by snakemake.",
+    )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
 
     for stage in STAGES:
         verb = verbs.add_parser(stage, help=f"make one artifact of the stage {stage} (the workflow calls this)")
-        verb.add_argument("request", type=Path, metavar="request.json", help="what to make: results/work/<stage>/<name>/<key>/request.json")
+        verb.add_argument(
+            "request",
+            type=Path,
+            metavar="request.json",
+            help="what to make: results/work/<stage>/<name>/<key>/request.json",
+        )
         verb.add_argument("--threads", type=int, default=1)
         verb.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
         verb.set_defaults(run=_make, stage=stage)
@@ -44,14 +52,20 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--yes", action="store_true", help="do it, instead of saying what would be done")
     _studies(verb, "free", "yes")
     verb = verbs.add_parser("verify", help="reread every checksum")
-    verb.add_argument("--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them anew")
+    verb.add_argument(
+        "--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them anew"
+    )
     verb.set_defaults(run=_verify)
     verb = verbs.add_parser("mlflow-sync", help="bring MLflow up to date with the artifacts")
     verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files (the workflow gives it)")
     verb.add_argument("--fingerprint", help="with --configuration: what the workflow notes as mirrored")
-    verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
+    verb.add_argument(
+        "studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml"
+    )
     verb.set_defaults(run=_mirror)
-    verb = verbs.add_parser("publish", help="put report and names of a study into results/<study>/ (the workflow calls this)")
+    verb = verbs.add_parser(
+        "publish", help="put report and names of a study into results/<study>/ (the workflow calls this)"
+    )
     verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
     verb.add_argument("--fingerprint", required=True, help="of the plan that the workflow has carried out")
     verb.set_defaults(run=_publish)
@@ -59,7 +73,13 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--docs", type=Path, default=Path("docs"))
     verb.set_defaults(run=_schema)
     for verb in verbs.choices.values():
-        verb.add_argument("--store", type=Path, default=Path("results"), metavar="results", help="folder of the results (default: results)")
+        verb.add_argument(
+            "--store",
+            type=Path,
+            default=Path("results"),
+            metavar="results",
+            help="folder of the results (default: results)",
+        )
 
     from acgd.experts import zoo_commands
 
@@ -68,7 +88,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
-    verb.add_argument("studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml")
+    verb.add_argument(
+        "studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml"
+    )
 
     def run(options: argparse.Namespace) -> None:
         from acgd.study import commands
@@ -83,7 +105,9 @@ def _make(options: argparse.Namespace) -> None:
 
     job = read_request(options.request)
     if job["stage"] != options.stage:
-        raise ArtifactError(f"{options.request} asks for the stage {job['stage']}. Type: python -m acgd {job['stage']} {options.request}")
+        raise ArtifactError(
+            f"{options.request} asks for the stage {job['stage']}. Type: python -m acgd {job['stage']} {options.request}"
+        )
     make(job, Store(options.store), options.threads, options.device)
 
 
@@ -110,7 +134,9 @@ def _publish(options: argparse.Namespace) -> None:
 
     plan = _planned(options.configuration)
     if names.fingerprint(plan) != options.fingerprint:
-        raise ArtifactError("Code, simulator or a file that the study reads has changed since the workflow was started. Start it again.")
+        raise ArtifactError(
+            "Code, simulator or a file that the study reads has changed since the workflow was started. Start it again."
+        )
     print(f"report: {names.publish(Store(options.store), plan)}")
 
 

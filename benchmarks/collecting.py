@@ -4,13 +4,13 @@ import time
 
 import torch
 
-from acgd.collection.settings import RolloutsConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.experts.policy import Expert
 from acgd.collection.episode import run_wave
-from acgd.tasks import registry
+from acgd.collection.settings import RolloutsConfig
+from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from benchmarks.row import Row
 
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")

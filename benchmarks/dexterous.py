@@ -46,11 +46,41 @@ def _measure(task: str) -> list[Row]:
     lucky = sum(_episode(env, seed) for seed in range(EPISODES))
     name = f"dexterous/{task}"
     return [
-        Row(name=f"{name}: speed", value=steps, unit="steps/s", ratio=None, target=f">= {least:.0f}", met=steps >= least),
-        Row(name=f"{name}: pictures", value=frames, unit="frames/s", ratio=None, target=f">= {LEAST_FRAMES:.0f}", met=frames >= LEAST_FRAMES),
-        Row(name=f"{name}: faults in {STEPS:,} steps", value=faults, unit="warnings or NaN", ratio=None, target="0", met=faults == 0),
-        Row(name=f"{name}: memory grown in {STEPS:,} steps", value=growth, unit="MB", ratio=None, target=f"< {MOST_GROWTH:.0f}", met=growth < MOST_GROWTH),
-        Row(name=f"{name}: random policy", value=lucky, unit=f"of {EPISODES} solved", ratio=None, target="0", met=lucky == 0),
+        Row(
+            name=f"{name}: speed", value=steps, unit="steps/s", ratio=None, target=f">= {least:.0f}", met=steps >= least
+        ),
+        Row(
+            name=f"{name}: pictures",
+            value=frames,
+            unit="frames/s",
+            ratio=None,
+            target=f">= {LEAST_FRAMES:.0f}",
+            met=frames >= LEAST_FRAMES,
+        ),
+        Row(
+            name=f"{name}: faults in {STEPS:,} steps",
+            value=faults,
+            unit="warnings or NaN",
+            ratio=None,
+            target="0",
+            met=faults == 0,
+        ),
+        Row(
+            name=f"{name}: memory grown in {STEPS:,} steps",
+            value=growth,
+            unit="MB",
+            ratio=None,
+            target=f"< {MOST_GROWTH:.0f}",
+            met=growth < MOST_GROWTH,
+        ),
+        Row(
+            name=f"{name}: random policy",
+            value=lucky,
+            unit=f"of {EPISODES} solved",
+            ratio=None,
+            target="0",
+            met=lucky == 0,
+        ),
     ]
 
 
@@ -113,4 +143,6 @@ def _episode(env: DexterousTask, seed: int) -> bool:
 
 if __name__ == "__main__":
     for row in run(sys.argv[1:] or TASKS):
-        print(f"{row['name']:<62}{row['value']:>9.4g} {row['unit']:<16} target {row['target']:<8} {'yes' if row['met'] else 'NO'}")
+        print(
+            f"{row['name']:<62}{row['value']:>9.4g} {row['unit']:<16} target {row['target']:<8} {'yes' if row['met'] else 'NO'}"
+        )

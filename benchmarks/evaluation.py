@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from acgd.evaluation.settings import EvaluationConfig
-from acgd.students.settings import ActingConfig, CodebookConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.vision.settings import BackboneConfig
 from acgd.evaluation.evaluate import StudentPolicy
+from acgd.evaluation.settings import EvaluationConfig
+from acgd.simulate.lockstep import Lockstep
 from acgd.students.acting import Actor
 from acgd.students.codebook import Sizes
+from acgd.students.settings import ActingConfig, CodebookConfig
 from acgd.students.student import Student
-from acgd.simulate.lockstep import Lockstep
+from acgd.tasks.settings import TaskConfig
 from acgd.vision.cnn import SmallCNN
+from acgd.vision.settings import BackboneConfig
 from benchmarks.row import Row
 
 TASK = TaskConfig(name="myo/key-turn")
@@ -41,12 +41,17 @@ def run() -> list[Row]:
     images = _steps_per_s(seeing, seeds, lambda obs, step: still)
 
     def student_and_still(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
-        policy(obs, step)  # an untrained student would drop the object: it costs what a trained one does, and has no say
+        policy(
+            obs, step
+        )  # an untrained student would drop the object: it costs what a trained one does, and has no say
         return still
 
     acting = _steps_per_s(seeing, seeds, student_and_still)
     rates = {"physics alone": physics, "with images": images, f"with images and a student, {size} in lockstep": acting}
-    return [Row(name=f"evaluation/{name}", value=rate, unit="steps/s", ratio=rate / physics, target="", met=None) for name, rate in rates.items()]
+    return [
+        Row(name=f"evaluation/{name}", value=rate, unit="steps/s", ratio=rate / physics, target="", met=None)
+        for name, rate in rates.items()
+    ]
 
 
 def _steps_per_s(lock: Lockstep, seeds: list[int], policy: Callable[[dict[str, np.ndarray], int], np.ndarray]) -> float:

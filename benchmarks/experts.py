@@ -10,10 +10,10 @@ import gymnasium
 import numpy as np
 import torch
 
-from acgd.experts.settings import ExpertRequest, SACConfig
-from acgd.tasks.settings import TaskConfig
 from acgd.experts.sac.update import SACUpdate
+from acgd.experts.settings import ExpertRequest, SACConfig
 from acgd.experts.training_env import StateOnly
+from acgd.tasks.settings import TaskConfig
 from benchmarks.row import Row
 
 STATE_DIM, ACTION_DIM = 115, 39
@@ -42,7 +42,16 @@ def run() -> list[Row]:
             met=rates[name] >= LEAST_RATIO * rates["stock"] if name == "SAC, default" else None)
         for name in ours
     ]  # fmt: skip
-    rows.append(Row(name="experts/stable-baselines3's SAC", value=rates["stock"], unit="updates/s", ratio=None, target="", met=None))
+    rows.append(
+        Row(
+            name="experts/stable-baselines3's SAC",
+            value=rates["stock"],
+            unit="updates/s",
+            ratio=None,
+            target="",
+            met=None,
+        )
+    )
     return [*rows, *_steps(SACConfig(), rates["SAC, default"])]
 
 
@@ -66,11 +75,20 @@ def _stock(sac: SACConfig) -> Callable[[], None]:
     from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
 
-    model = SAC("MlpPolicy", _Nothing(), buffer_size=1000, device="cpu", policy_kwargs={"net_arch": [sac.width, sac.width]})
+    model = SAC(
+        "MlpPolicy", _Nothing(), buffer_size=1000, device="cpu", policy_kwargs={"net_arch": [sac.width, sac.width]}
+    )
     model.set_logger(configure(None, []))
     rng = np.random.default_rng(0)
     for _ in range(1000):
-        model.replay_buffer.add(rng.normal(size=STATE_DIM), rng.normal(size=STATE_DIM), rng.uniform(-1, 1, ACTION_DIM), np.zeros(1), np.zeros(1), [{}])
+        model.replay_buffer.add(
+            rng.normal(size=STATE_DIM),
+            rng.normal(size=STATE_DIM),
+            rng.uniform(-1, 1, ACTION_DIM),
+            np.zeros(1),
+            np.zeros(1),
+            [{}],
+        )
     return lambda: model.train(UPDATES, sac.batch)
 
 
@@ -106,8 +124,22 @@ def _steps(sac: SACConfig, updates_per_second: float) -> list[Row]:
     physics = (time.process_time() - started) / STEPS
     whole = step + sac.updates_per_step / updates_per_second
     return [
-        Row(name=f"experts/{TASK}: environment", value=1 / step, unit="steps/s", ratio=physics / step, target="(ratio: physics' share)", met=None),
-        Row(name=f"experts/{TASK}: SAC, all in all", value=1 / whole, unit="steps/s", ratio=physics / whole, target="(ratio: physics' share)", met=None),
+        Row(
+            name=f"experts/{TASK}: environment",
+            value=1 / step,
+            unit="steps/s",
+            ratio=physics / step,
+            target="(ratio: physics' share)",
+            met=None,
+        ),
+        Row(
+            name=f"experts/{TASK}: SAC, all in all",
+            value=1 / whole,
+            unit="steps/s",
+            ratio=physics / whole,
+            target="(ratio: physics' share)",
+            met=None,
+        ),
     ]
 
 

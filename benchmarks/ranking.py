@@ -12,16 +12,16 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from acgd.experts import zoo
-from acgd.critics.settings import CriticConfig
-from acgd.tasks.settings import TaskConfig
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.quality import discounted, one_per_episode
 from acgd.critics.ranks import rank_correlations
+from acgd.critics.settings import CriticConfig
+from acgd.experts import zoo
 from acgd.experts.policy import Expert
-from acgd.tasks import registry
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE
 from acgd.tracking.progress import Progress
 from benchmarks.row import Row
@@ -44,19 +44,37 @@ def _measure(task: str) -> list[Row]:
     gamma = expert.meta["gamma"]
     lock = Lockstep(TaskConfig(name=task), ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
     with Progress(open("/dev/null", "w"))(1, task) as bar:
-        _, visits, _ = rollouts(lock, expert, config.perturbation, SEEDS.validation, limit=registry.TASKS[task].horizon, episodes=STATES, visit_rate=0.25, bar=bar)
+        _, visits, _ = rollouts(
+            lock,
+            expert,
+            config.perturbation,
+            SEEDS.validation,
+            limit=registry.TASKS[task].horizon,
+            episodes=STATES,
+            visit_rate=0.25,
+            bar=bar,
+        )
         here = one_per_episode(visits, rng)
         actions = candidates(expert, np.stack([visit.state for visit in here]), config.quality.candidates, rng)[0]
 
         tried = branches(lock.envs, expert, here, actions, tail, bar)
-        tried_beside = branches(lock.envs, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
+        tried_beside = branches(
+            lock.envs, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar
+        )
     whole, beside, early = (
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
         for data, steps in ((tried, tail), (tried_beside, tail), (tried, config.branches.steps))
     )
     found = {f"{DISTANCE:g} rad or m away": beside, f"after {config.branches.steps} of {tail} steps": early}
     return [
-        Row(name=f"ranking/{task}: {what}", value=float(np.nanmean(rank_correlations(other, whole))), unit="rank correlation", ratio=None, target="", met=None)
+        Row(
+            name=f"ranking/{task}: {what}",
+            value=float(np.nanmean(rank_correlations(other, whole))),
+            unit="rank correlation",
+            ratio=None,
+            target="",
+            met=None,
+        )
         for what, other in found.items()
     ]
 

@@ -7,16 +7,16 @@ from collections.abc import Callable
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from acgd.store.precision import in_bfloat16
-from acgd.students.settings import CodebookConfig, StudentConfig
 from acgd.critics.aggregate import AggregateCritic
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
+from acgd.store.precision import in_bfloat16
 from acgd.students import losses
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.data import Data
 from acgd.students.distil import student_losses
 from acgd.students.guidance import Guidance
+from acgd.students.settings import CodebookConfig, StudentConfig
 from acgd.students.student import Student
 from acgd.students.training import adamw
 from benchmarks.row import Row
@@ -45,7 +45,14 @@ def run() -> list[Row]:
     batch = settings.training.batch
     share = flops / bc_s / (2 * GEMM**3 / gemm_s)
     return [
-        Row(name="student/bc", value=batch / bc_s, unit="samples/s", ratio=share, target="ratio: share of the GEMM rate reached", met=None),
+        Row(
+            name="student/bc",
+            value=batch / bc_s,
+            unit="samples/s",
+            ratio=share,
+            target="ratio: share of the GEMM rate reached",
+            met=None,
+        ),
         Row(name="student/gemm", value=2 * GEMM**3 / gemm_s / 1e9, unit="GFLOP/s", ratio=None, target="", met=None),
         Row(
             name="student/guidance",
@@ -62,8 +69,16 @@ def training_step(config: CodebookConfig, settings: StudentConfig, guided: bool)
     """One optimiser step of stage (b), as `distil` takes it, on data of the default study's size."""
     data = Data.of(_windows(), config)
     student = Student.of(Codebook(config, Sizes(FEATURES, PROPRIO, ACTIONS, TASKS, owns_cnn=False)))
-    critics = AggregateCritic([Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)], settings.pessimism)
-    guidance = Guidance(critics, torch.ones(TASKS), losses.step_weights(settings.guided_steps, config.chunk, torch.device("cpu"))) if guided else None
+    critics = AggregateCritic(
+        [Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)], settings.pessimism
+    )
+    guidance = (
+        Guidance(
+            critics, torch.ones(TASKS), losses.step_weights(settings.guided_steps, config.chunk, torch.device("cpu"))
+        )
+        if guided
+        else None
+    )
     codes = torch.randint(config.codes, (len(data.windows.task), config.groups))
     optimiser = adamw(student, settings.training)
     trained = [p for group in optimiser.param_groups for p in group["params"]]
@@ -74,8 +89,12 @@ def training_step(config: CodebookConfig, settings: StudentConfig, guided: bool)
         t = data.sample(settings.training.batch, generators["data"])
         batch = data.batch(t, generators["data"])
         states = data.states(t[:rows]) if guided else None
-        with torch.autocast("cpu", torch.bfloat16, enabled=in_bfloat16(settings.training.precision, torch.device("cpu"))):
-            bc, distill, _ = student_losses(student, batch, codes[t], guidance, states, settings.training.input_noise, generators)
+        with torch.autocast(
+            "cpu", torch.bfloat16, enabled=in_bfloat16(settings.training.precision, torch.device("cpu"))
+        ):
+            bc, distill, _ = student_losses(
+                student, batch, codes[t], guidance, states, settings.training.input_noise, generators
+            )
         optimiser.zero_grad(set_to_none=True)
         (settings.alpha * bc.mean() + (distill.mean() if guided else 0)).backward()
         torch.nn.utils.clip_grad_norm_(trained, settings.training.clip_norm, foreach=True)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import yaml
 
-from acgd.study.plan import plan
 from acgd.store.store import RUN, Store
 from acgd.study.load import read_yaml
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 from benchmarks.row import Row
 
@@ -76,7 +76,16 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
         by_stage[job.stage].append(job.seconds)
     worked = sum(job.seconds for job in jobs)
     for stage, times in by_stage.items():
-        rows.append(Row(name=f"study/{stage} x {len(times)}", value=sum(times), unit="s", ratio=sum(times) / worked, target="", met=None))
+        rows.append(
+            Row(
+                name=f"study/{stage} x {len(times)}",
+                value=sum(times),
+                unit="s",
+                ratio=sum(times) / worked,
+                target="",
+                met=None,
+            )
+        )
     return [*rows, _one_more_variant(config, results, len(jobs))]
 
 
@@ -94,7 +103,9 @@ def busy_seconds(jobs: Iterable[Job]) -> float:
 
 def peak_bytes(jobs: Iterable[Job]) -> int:
     """The largest sum of the peaks of stages that ran at the same time: never less than what was really held."""
-    events = sorted([(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs])
+    events = sorted(
+        [(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs]
+    )
     held = peak = 0
     for _, _, change in events:
         held += change
@@ -107,7 +118,9 @@ def _jobs(config: Path, results: Path) -> list[Job]:
     needed = plan(study).artifacts
     missing = [place for place in needed if not store.has(place)]
     if missing:
-        raise NotMeasured(f"{len(missing)} of {len(needed)} artifacts of study {study.name} are not made yet. Type: make demo")
+        raise NotMeasured(
+            f"{len(missing)} of {len(needed)} artifacts of study {study.name} are not made yet. Type: make demo"
+        )
     return [_job(artifact.stage, store.path(place) / RUN) for place, artifact in needed.items()]
 
 
@@ -140,13 +153,29 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
 def dry_run(config: Path, folder: Path) -> Counter[str]:
     """Rule -> number of jobs that Snakemake would run in `folder`."""
     snakefile = Path(__file__).parent.parent / "workflow" / "Snakefile"
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--directory", str(folder), "--configfile", str(config.resolve())]
-    done = subprocess.run([*command, "--cores", "2", "--dry-run", "--nolock", "all"], capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--snakefile",
+        str(snakefile),
+        "--directory",
+        str(folder),
+        "--configfile",
+        str(config.resolve()),
+    ]
+    done = subprocess.run(
+        [*command, "--cores", "2", "--dry-run", "--nolock", "all"], capture_output=True, text=True, check=False
+    )
     text = done.stdout + done.stderr
     if done.returncode:
         raise RuntimeError(f"snakemake's dry run failed:\n{text}")
     table = re.search(r"^job\s+count\n-.*\n((?:\S+\s+\d+\n)+)", text, re.MULTILINE)
-    return Counter({rule: int(count) for rule, count in re.findall(r"^(\S+)\s+(\d+)$", table[1], re.MULTILINE) if rule != "total"} if table else {})
+    return Counter(
+        {rule: int(count) for rule, count in re.findall(r"^(\S+)\s+(\d+)$", table[1], re.MULTILINE) if rule != "total"}
+        if table
+        else {}
+    )
 
 
 if __name__ == "__main__":

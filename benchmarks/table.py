@@ -55,7 +55,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         cells.append((row["name"], f"{row['value']:.4g}", row["unit"], ratio, met, row["target"]))
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     numbers = (1, 3)
-    return "\n".join("  ".join(cell.rjust(w) if i in numbers else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths))).rstrip() for row in cells)
+    return "\n".join(
+        "  ".join(
+            cell.rjust(w) if i in numbers else cell.ljust(w) for i, (cell, w) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in cells
+    )
 
 
 def write(rows: Sequence[dict[str, Any]], file: Path) -> None:

@@ -26,7 +26,9 @@ def _shadow(right: dict[str, float], left: dict[str, float]) -> np.ndarray:
     return np.array([hand.get(name, 0.0) for hand in (right, left) for name in MOTORS])
 
 
-def _bend(angle: float, fingers: tuple[str, ...] = ("FF", "MF", "RF", "LF"), joints: tuple[str, ...] = ("J2",)) -> dict[str, float]:
+def _bend(
+    angle: float, fingers: tuple[str, ...] = ("FF", "MF", "RF", "LF"), joints: tuple[str, ...] = ("J2",)
+) -> dict[str, float]:
     return {finger + joint: angle for finger in fingers for joint in joints}
 
 

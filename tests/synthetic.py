@@ -5,20 +5,28 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from acgd.nn.q_ensemble import Critic
+from acgd.rollouts.store import write_group
 from acgd.store.stage import Context
 from acgd.students.settings import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
 from acgd.tasks.settings import TaskConfig
-from acgd.vision.settings import BackboneConfig
-from acgd.nn.q_ensemble import Critic
-from acgd.rollouts.store import write_group
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
+from acgd.vision.settings import BackboneConfig
 
 TASKS = ("myo/reach", "myo/obj-hold")
 P, A, F = 7, 5, 6
 
 
-def rollouts(directory: Path, task: int, episodes: int = 10, length: int = 20, state: int = 9, images: bool = False, seed: int = 0) -> Path:
+def rollouts(
+    directory: Path,
+    task: int,
+    episodes: int = 10,
+    length: int = 20,
+    state: int = 9,
+    images: bool = False,
+    seed: int = 0,
+) -> Path:
     """Episodes of unequal length. proprio[0] is t / 10, features[0] the sine of an angle that only the image shows."""
     rng = np.random.default_rng([seed, task])
     lengths = length - np.arange(episodes) % 4
@@ -47,7 +55,9 @@ def rollouts(directory: Path, task: int, episodes: int = 10, length: int = 20, s
     return directory
 
 
-def critic(directory: Path, state: int, actions: int = A, low: float = 0.5, members: int = 2, width: int = 32, seed: int = 0) -> Path:
+def critic(
+    directory: Path, state: int, actions: int = A, low: float = 0.5, members: int = 2, width: int = 32, seed: int = 0
+) -> Path:
     """An untrained critic with a quality.json; `low` is the low end of its within-state rank interval."""
     directory.mkdir(parents=True)
     made = Critic(state, actions, members, width, dueling=True, generator=torch.Generator().manual_seed(seed))
@@ -57,17 +67,39 @@ def critic(directory: Path, state: int, actions: int = A, low: float = 0.5, memb
     return directory
 
 
-def codebook_request(seed: int = 0, backbone: str = "privileged", training: dict | None = None, **fields) -> CodebookRequest:
+def codebook_request(
+    seed: int = 0, backbone: str = "privileged", training: dict | None = None, **fields
+) -> CodebookRequest:
     """A tiny codebook on two tasks."""
-    small = {"chunk": 4, "history": 3, "groups": 2, "codes": 8, "width": 32, "heads": 2, "encoder_layers": 1, "decoder_layers": 1}
+    small = {
+        "chunk": 4,
+        "history": 3,
+        "groups": 2,
+        "codes": 8,
+        "width": 32,
+        "heads": 2,
+        "encoder_layers": 1,
+        "decoder_layers": 1,
+    }
     codebook = CodebookConfig(**small | fields, training=_training(training))
-    return CodebookRequest(tasks=[TaskConfig(name=name) for name in TASKS], codebook=codebook, backbone=BackboneConfig(kind=backbone, dim=8), seed=seed)
+    return CodebookRequest(
+        tasks=[TaskConfig(name=name) for name in TASKS],
+        codebook=codebook,
+        backbone=BackboneConfig(kind=backbone, dim=8),
+        seed=seed,
+    )
 
 
 def student_request(codebook: CodebookRequest, training: dict | None = None, **fields) -> StudentRequest:
     """A tiny student on that codebook."""
     student = StudentConfig(**fields, training=_training(training))
-    return StudentRequest(tasks=codebook.tasks, codebook=codebook.codebook, student=student, backbone=codebook.backbone, seed=codebook.seed)
+    return StudentRequest(
+        tasks=codebook.tasks,
+        codebook=codebook.codebook,
+        student=student,
+        backbone=codebook.backbone,
+        seed=codebook.seed,
+    )
 
 
 def context(directory: Path) -> Context:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from acgd.store import job
-from acgd.study import commands, names
-from acgd.study.plan import plan
 from acgd.store.store import ArtifactError, Store, check
+from acgd.study import commands, names
 from acgd.study.load import ConfigError
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -149,7 +149,9 @@ def test_killed_it_is_no_artifact_and_the_next_maker_goes_on(store, mode):
     process = maker(store.results, "fast")
     out, _ = process.communicate(timeout=60)
     assert out.split()[-1] == "made"
-    assert ("filling" in out) == (mode != "killed before the manifest"), "hours of work are not thrown away for a missing manifest"
+    assert ("filling" in out) == (mode != "killed before the manifest"), (
+        "hours of work are not thrown away for a missing manifest"
+    )
     check(store.path(PLACE))
 
 
@@ -319,16 +321,28 @@ def test_a_job_refuses_a_request_that_its_key_does_not_belong_to(store, study):
 
 def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store, monkeypatch):
     """The process that makes them finds the key that the plan has; so does a training that starts from an expert of the zoo."""
-    monkeypatch.setattr("acgd.experts.train.train", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w"))
+    monkeypatch.setattr(
+        "acgd.experts.train.train", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w")
+    )
     monkeypatch.setattr("acgd.critics.fit.fit", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w"))
     zoos = plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}}))
-    warm = plan(load_study({"tasks": ["myo/pen-twirl-hard"], "expert": {"source": "train", "algorithm": "sac", "warm_start": "myo/pen-twirl"}}))
+    warm = plan(
+        load_study(
+            {
+                "tasks": ["myo/pen-twirl-hard"],
+                "expert": {"source": "train", "algorithm": "sac", "warm_start": "myo/pen-twirl"},
+            }
+        )
+    )
     made = [zoos.names["base/expert"][0], zoos.names["base/critic"][0], warm.names["base/expert"][0]]
     for artifact in made:
         job.make(json.loads(artifact.job), store, threads=1, device="cpu")
         check(store.path(artifact.place))
     monkeypatch.setattr("acgd.experts.zoo.fitted_critic", lambda task: (ROOT / "Makefile",))
-    assert plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})).names["base/critic"][0].key != made[1].key
+    assert (
+        plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})).names["base/critic"][0].key
+        != made[1].key
+    )
 
 
 def test_a_job_refuses_damaged_inputs_before_it_starts(store, study):
@@ -349,11 +363,17 @@ def acgd(*arguments, cwd):
 def test_the_command_line_says_what_to_mend_and_fails_without_a_trace(tmp_path):
     (tmp_path / "config.yaml").write_text("studnet: {}")
     run = acgd("check", cwd=tmp_path)
-    assert run.returncode == 1 and run.stderr == "error: config.yaml: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
+    assert (
+        run.returncode == 1
+        and run.stderr == "error: config.yaml: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
+    )
     run = acgd("critic", "config.yaml", cwd=tmp_path)
     assert run.returncode == 1 and "config.yaml is no request" in run.stderr and "Traceback" not in run.stderr
 
 
 def test_check_lists_what_is_to_make(study, tmp_path):
     run = acgd("check", cwd=tmp_path)
-    assert run.returncode == 0 and f"t: valid; {len(study.artifacts)} artifacts, {len(study.artifacts)} of them to make" in run.stdout
+    assert (
+        run.returncode == 0
+        and f"t: valid; {len(study.artifacts)} artifacts, {len(study.artifacts)} of them to make" in run.stdout
+    )

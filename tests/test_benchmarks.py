@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from acgd.study.plan import plan
 from acgd.store.store import Store
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 from benchmarks import study, table
 from benchmarks.study import Job, busy_seconds, peak_bytes
@@ -28,7 +28,12 @@ def test_memory_is_that_of_stages_at_once() -> None:
 
 
 def test_a_finished_study_is_measured_and_one_more_variant_runs_only_its_own_stages(tmp_path: Path) -> None:
-    content = {"name": "toy", "expert": {"source": "train"}, "seeds": [0, 1], "variants": {"acgd": {}, "plain": {"student": {"guidance": "none"}}}}
+    content = {
+        "name": "toy",
+        "expert": {"source": "train"},
+        "seeds": [0, 1],
+        "variants": {"acgd": {}, "plain": {"student": {"guidance": "none"}}},
+    }
     config = tmp_path / "config.yaml"
     config.write_text(yaml.safe_dump(content))
     store = Store(tmp_path / "results")
@@ -36,7 +41,9 @@ def test_a_finished_study_is_measured_and_one_more_variant_runs_only_its_own_sta
     for i, place in enumerate(artifacts):
         folder = store.path(place)
         folder.mkdir(parents=True)
-        (folder / "run.json").write_text(json.dumps({"started": 1e9 + 10 * i, "wall_s": 8.0, "peak_rss_bytes": 10**9, "resumed": False}))
+        (folder / "run.json").write_text(
+            json.dumps({"started": 1e9 + 10 * i, "wall_s": 8.0, "peak_rss_bytes": 10**9, "resumed": False})
+        )
         (folder / "manifest.json").write_text("{}")
     rows = {row["name"]: row for row in study.run(config, store.results)}
     assert rows["study/wall time"]["value"] == pytest.approx((10 * len(artifacts) - 2) / 60)
@@ -57,7 +64,9 @@ def test_one_failing_benchmark_does_not_hide_the_others(
     def measured(name: str) -> list[dict]:
         if name == "broken":
             raise RuntimeError("no GL")
-        return [{"name": f"{name}/rate", "value": 1234.5, "unit": "frames/s", "ratio": 61.0, "target": ">= 60", "met": True}]
+        return [
+            {"name": f"{name}/rate", "value": 1234.5, "unit": "frames/s", "ratio": 61.0, "target": ">= 60", "met": True}
+        ]
 
     monkeypatch.setattr(table, "BENCHMARKS", ("broken", "working"))
     monkeypatch.setattr(table, "RESULT", tmp_path / "bench.json")

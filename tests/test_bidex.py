@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.tasks.settings import TaskConfig
 from acgd.tasks import bottle, registry, scissors, shadow, switch
 from acgd.tasks.dexterous import DexterousTask
+from acgd.tasks.settings import TaskConfig
 from tests.open_loop import SOLUTIONS, follow
 
 TASKS = [name for name, spec in registry.TASKS.items() if spec.suite == "bidex"]
@@ -46,7 +46,9 @@ def test_fingertips_are_where_the_real_hand_has_them(envs):
     for side, tips in zip(shadow.SIDES, env.scene.hands.tips(env.data)):
         palm = env.data.body(f"{side}/robot0:palm")
         local = (tips - palm.xpos) @ palm.xmat.reshape(3, 3)
-        assert np.allclose(local[:4], [(0.033, 0, 0.185), (0.011, 0, 0.189), (-0.011, 0, 0.185), (-0.034, 0, 0.178)], atol=2e-3)
+        assert np.allclose(
+            local[:4], [(0.033, 0, 0.185), (0.011, 0, 0.189), (-0.011, 0, 0.185), (-0.034, 0, 0.178)], atol=2e-3
+        )
         assert local[4, 0] > 0.09  # the thumb sticks out on the index finger's side, as a right hand's does
     tips = env.scene.hands.tips(env.data)
     assert np.allclose(tips[0] - tips[1], (0, 0.4, 0), atol=1e-9)
@@ -180,4 +182,7 @@ def test_a_missing_hand_names_the_mend(monkeypatch, found):
 def test_gymnasium_robotics_is_never_imported():
     """It would register environments of its own."""
     script = "import sys; from acgd.tasks import registry; registry.make('bidex/switch', image=False); print('gymnasium_robotics' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip() == "False"
+    assert (
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
+        == "False"
+    )

@@ -15,39 +15,99 @@ TRAINED = {"expert": {"source": "train"}}
 
 MALFORMED = [
     pytest.param({"studnet": {}}, ["studnet", "Nearest: student"], id="unknown section"),
-    pytest.param({"student": {"guidence": "none"}}, ["student.guidence", "Nearest: guidance", "Rename"], id="unknown key"),
-    pytest.param({"student": {"training": {"lr": 1}}}, ["student.training.lr", "Nearest: learning_rate"], id="abbreviation"),
-    pytest.param({"student": {"chunk": 8}}, ["student.chunk", "codebook.chunk", "Move it there"], id="key of another section"),
-    pytest.param({"student": {"guidance": "critics"}}, ["student.guidance", "'critics'", "Nearest: critic"], id="no such choice"),
+    pytest.param(
+        {"student": {"guidence": "none"}}, ["student.guidence", "Nearest: guidance", "Rename"], id="unknown key"
+    ),
+    pytest.param(
+        {"student": {"training": {"lr": 1}}}, ["student.training.lr", "Nearest: learning_rate"], id="abbreviation"
+    ),
+    pytest.param(
+        {"student": {"chunk": 8}}, ["student.chunk", "codebook.chunk", "Move it there"], id="key of another section"
+    ),
+    pytest.param(
+        {"student": {"guidance": "critics"}}, ["student.guidance", "'critics'", "Nearest: critic"], id="no such choice"
+    ),
     pytest.param({"student": 3}, ["student: should be a map", "3"], id="section is no map"),
-    pytest.param({"rollouts": {"demonstrations": "many"}}, ["rollouts.demonstrations", "whole number", "'many'", "default, 50"], id="wrong type"),
-    pytest.param({"rollouts": {"demonstrations": 0}}, ["rollouts.demonstrations", "greater than or equal to 1", "not 0"], id="out of range"),
+    pytest.param(
+        {"rollouts": {"demonstrations": "many"}},
+        ["rollouts.demonstrations", "whole number", "'many'", "default, 50"],
+        id="wrong type",
+    ),
+    pytest.param(
+        {"rollouts": {"demonstrations": 0}},
+        ["rollouts.demonstrations", "greater than or equal to 1", "not 0"],
+        id="out of range",
+    ),
     pytest.param({"student": {"alpha": float("nan")}}, ["student.alpha", "nan"], id="not a number"),
-    pytest.param({"tasks": ["myo/reech"]}, ["tasks", "'myo/reech' is no task", "Nearest: myo/reach"], id="impossible task"),
+    pytest.param(
+        {"tasks": ["myo/reech"]}, ["tasks", "'myo/reech' is no task", "Nearest: myo/reach"], id="impossible task"
+    ),
     pytest.param({"tasks": []}, ["tasks", "at least 1"], id="no task"),
     pytest.param({"tasks": "myo/reach"}, ["tasks: should be a list", "'myo/reach'"], id="task is no list"),
     pytest.param({"tasks": ["myo/reach"] * 2}, ["tasks", "twice"], id="task twice"),
-    pytest.param({"tasks": ["myo/reach", "opdex/spray-1"]}, ["tasks", "opdex/spray-1", "different robots", "study for each suite"], id="two suites"),
-    pytest.param({"tasks": ["opdex/spray-1"]}, ["critic.action_space", "motors", "Set it to raw"], id="muscles of a robot"),
+    pytest.param(
+        {"tasks": ["myo/reach", "opdex/spray-1"]},
+        ["tasks", "opdex/spray-1", "different robots", "study for each suite"],
+        id="two suites",
+    ),
+    pytest.param(
+        {"tasks": ["opdex/spray-1"]}, ["critic.action_space", "motors", "Set it to raw"], id="muscles of a robot"
+    ),
     pytest.param({"seeds": [0, 0]}, ["seeds", "twice"], id="seed twice"),
     pytest.param({"seeds": [-1]}, ["seeds", "-1", "count from 0"], id="negative seed"),
     pytest.param({"backbone": {"kind": "r3m"}}, ["backbone", "backbone.path"], id="weights not named"),
-    pytest.param({"backbone": {"kind": "r3m", "path": "no/model.pt"}}, ["backbone.path", "no/model.pt"], id="missing file"),
-    pytest.param({"evaluation": {"conditions": [{"goal": "x"}]}}, ["evaluation.conditions[0].goal", "oracle"], id="inside a list"),
-    pytest.param({"overrides": {"myo/reech": {}}}, ["overrides.myo/reech", "not in tasks", "Nearest: myo/reach"], id="override of no task"),
-    pytest.param({"overrides": {"myo/reach": {"expert": {"ppo": {"stepz": 1}}}}}, ["overrides.myo/reach.expert.ppo.stepz", "Nearest: steps"], id="override"),
-    pytest.param({"overrides": {"myo/reach": {"student": {}}}}, ["overrides.myo/reach.student", "unknown key"], id="override of a shared stage"),
-    pytest.param({"variants": {"a": {"student": {"alfa": 1}}}}, ["variants.a.student.alfa", "Nearest: alpha"], id="variant"),
-    pytest.param({"variants": {"a": {"codebook": {"width": 30}}}}, ["variants.a.codebook", "no multiple of heads"], id="merged variant"),
     pytest.param(
-        {"variants": {"a": {"overrides": {"myo/reach": {"critic": {"stepz": 1}}}}}}, ["variants.a", "myo/reach.critic.stepz", "Nearest: steps"], id="variant's override"
+        {"backbone": {"kind": "r3m", "path": "no/model.pt"}}, ["backbone.path", "no/model.pt"], id="missing file"
     ),
-    pytest.param({"variants": {"a": {"backbone": {"kind": "r3m", "path": "no.pt"}}}}, ["variants.a", "backbone.path", "no.pt"], id="variant's file"),
-    pytest.param({"variants": {"a": {"tasks": ["myo/pose"]}}}, ["variants.a.tasks", "a study of its own"], id="variant of tasks"),
-    pytest.param({"variants": {"a": {"student": {"alpha": {"expand": 3}}}}}, ["variants", "student.alpha", "expand: [first, second"], id="expand over no list"),
+    pytest.param(
+        {"evaluation": {"conditions": [{"goal": "x"}]}}, ["evaluation.conditions[0].goal", "oracle"], id="inside a list"
+    ),
+    pytest.param(
+        {"overrides": {"myo/reech": {}}},
+        ["overrides.myo/reech", "not in tasks", "Nearest: myo/reach"],
+        id="override of no task",
+    ),
+    pytest.param(
+        {"overrides": {"myo/reach": {"expert": {"ppo": {"stepz": 1}}}}},
+        ["overrides.myo/reach.expert.ppo.stepz", "Nearest: steps"],
+        id="override",
+    ),
+    pytest.param(
+        {"overrides": {"myo/reach": {"student": {}}}},
+        ["overrides.myo/reach.student", "unknown key"],
+        id="override of a shared stage",
+    ),
+    pytest.param(
+        {"variants": {"a": {"student": {"alfa": 1}}}}, ["variants.a.student.alfa", "Nearest: alpha"], id="variant"
+    ),
+    pytest.param(
+        {"variants": {"a": {"codebook": {"width": 30}}}},
+        ["variants.a.codebook", "no multiple of heads"],
+        id="merged variant",
+    ),
+    pytest.param(
+        {"variants": {"a": {"overrides": {"myo/reach": {"critic": {"stepz": 1}}}}}},
+        ["variants.a", "myo/reach.critic.stepz", "Nearest: steps"],
+        id="variant's override",
+    ),
+    pytest.param(
+        {"variants": {"a": {"backbone": {"kind": "r3m", "path": "no.pt"}}}},
+        ["variants.a", "backbone.path", "no.pt"],
+        id="variant's file",
+    ),
+    pytest.param(
+        {"variants": {"a": {"tasks": ["myo/pose"]}}}, ["variants.a.tasks", "a study of its own"], id="variant of tasks"
+    ),
+    pytest.param(
+        {"variants": {"a": {"student": {"alpha": {"expand": 3}}}}},
+        ["variants", "student.alpha", "expand: [first, second"],
+        id="expand over no list",
+    ),
     pytest.param({"variants": {"a/b": {}}}, ["variants", "'a/b' becomes a folder"], id="name of a variant"),
     pytest.param({"name": "store"}, ["name", "'store'", "none of"], id="name of the study"),
-    pytest.param({"variants": {"acgd": {}}, "report": {"baseline": "agcd"}}, ["report.baseline", "Nearest: acgd"], id="baseline"),
+    pytest.param(
+        {"variants": {"acgd": {}}, "report": {"baseline": "agcd"}}, ["report.baseline", "Nearest: acgd"], id="baseline"
+    ),
 ]
 
 
@@ -71,7 +131,9 @@ def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkey
     stocked.mkdir()
     for name in ("policy.safetensors", "policy.json", "card.json", "curve.csv"):
         (stocked / name).write_bytes(b"x")
-    with pytest.raises(ConfigError, match="expert.source: zoo/ has no expert for myo/reach.*expert.source: train.*myo/pose"):
+    with pytest.raises(
+        ConfigError, match="expert.source: zoo/ has no expert for myo/reach.*expert.source: train.*myo/pose"
+    ):
         load_study({"tasks": ["myo/reach"]})
     load_study({"tasks": ["myo/pose"]})
 
@@ -79,10 +141,22 @@ def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkey
 @pytest.mark.parametrize(
     "content, said",
     [
-        ({"tasks": ["myo/key-turn-hard"], "expert": {"source": "train"}, "critic": {"source": "zoo"}}, "critic.source.*key-turn-hard trains one.*fqe"),
-        ({"tasks": ["myo/key-turn"], "critic": {"source": "expert"}}, "critic.source: the expert in zoo/ for myo/key-turn.*fqe.*myo/obj-hold-hard"),
-        ({"tasks": ["myo/key-turn"], "expert": {"source": "train"}, "critic": {"source": "expert"}}, "critic.source: the expert of myo/key-turn will.*sac"),
-        ({"tasks": ["myo/reach"], "expert": {"source": "train", "warm_start": "myo/flip"}}, "expert.warm_start: .* myo/flip.*myo/reach"),
+        (
+            {"tasks": ["myo/key-turn-hard"], "expert": {"source": "train"}, "critic": {"source": "zoo"}},
+            "critic.source.*key-turn-hard trains one.*fqe",
+        ),
+        (
+            {"tasks": ["myo/key-turn"], "critic": {"source": "expert"}},
+            "critic.source: the expert in zoo/ for myo/key-turn.*fqe.*myo/obj-hold-hard",
+        ),
+        (
+            {"tasks": ["myo/key-turn"], "expert": {"source": "train"}, "critic": {"source": "expert"}},
+            "critic.source: the expert of myo/key-turn will.*sac",
+        ),
+        (
+            {"tasks": ["myo/reach"], "expert": {"source": "train", "warm_start": "myo/flip"}},
+            "expert.warm_start: .* myo/flip.*myo/reach",
+        ),
     ],
 )
 def test_experts_and_critics_that_do_not_go_together(content, said):
@@ -115,8 +189,14 @@ def test_missing_file_names_the_nearest(tmp_path):
 
 def test_strings_of_the_command_line_become_numbers():
     """snakemake --config 'student={training: {steps: 7}}' gives the text '7'."""
-    study = load_study({**TRAINED, "student": {"training": {"steps": "7", "learning_rate": "1e-3"}}, "evaluation": {"clips": "false"}})
-    assert study.student.training.steps == 7 and study.student.training.learning_rate == 1e-3 and study.evaluation.clips is False
+    study = load_study(
+        {**TRAINED, "student": {"training": {"steps": "7", "learning_rate": "1e-3"}}, "evaluation": {"clips": "false"}}
+    )
+    assert (
+        study.student.training.steps == 7
+        and study.student.training.learning_rate == 1e-3
+        and study.evaluation.clips is False
+    )
 
 
 def test_a_study_cannot_be_changed():
@@ -127,16 +207,35 @@ def test_a_study_cannot_be_changed():
 
 def test_variants_merge_maps_replace_lists_and_keep_the_base():
     base = {**TRAINED, "student": {"alpha": 2.0}, "critic": {"perturbation": {"scales": [0.1, 0.2]}}}
-    study = load_study({**base, "variants": {"a": {"student": {"guidance": "none"}, "critic": {"perturbation": {"scales": [0.3]}}}, "b": {}}})
+    study = load_study(
+        {
+            **base,
+            "variants": {
+                "a": {"student": {"guidance": "none"}, "critic": {"perturbation": {"scales": [0.3]}}},
+                "b": {},
+            },
+        }
+    )
     a, b = study.resolved["a"], study.resolved["b"]
     assert (a.student.alpha, a.student.guidance, a.critic.perturbation.scales) == (2.0, "none", (0.3,))
     assert (b.student.guidance, b.critic.perturbation.scales) == ("critic", (0.1, 0.2))
 
 
 def test_one_task_can_differ_from_the_others():
-    study = load_study({**TRAINED, "tasks": ["myo/reach", "myo/pose"], "overrides": {"myo/pose": {"critic": {"members": 5}, "task": {"start": "nominal"}}}})
+    study = load_study(
+        {
+            **TRAINED,
+            "tasks": ["myo/reach", "myo/pose"],
+            "overrides": {"myo/pose": {"critic": {"members": 5}, "task": {"start": "nominal"}}},
+        }
+    )
     reach, pose = study.resolved["base"].each_task
-    assert (reach.critic.members, pose.critic.members, reach.task.start, pose.task.start) == (2, 5, "perturbed", "nominal")
+    assert (reach.critic.members, pose.critic.members, reach.task.start, pose.task.start) == (
+        2,
+        5,
+        "perturbed",
+        "nominal",
+    )
 
 
 def test_expand_gives_every_combination_by_name():
@@ -157,7 +256,9 @@ def test_the_studies_that_are_shipped_are_valid(monkeypatch):
         load_study(read_yaml(file))
 
 
-@pytest.mark.parametrize("name, text", [("configuration.md", reference.markdown()), ("schema.json", reference.schema())])
+@pytest.mark.parametrize(
+    "name, text", [("configuration.md", reference.markdown()), ("schema.json", reference.schema())]
+)
 def test_the_reference_is_that_of_the_models(name, text):
     assert (ROOT / "docs" / name).read_text() == text, "the models have changed; type: python -m acgd schema"
 

@@ -9,22 +9,22 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from acgd.store.stage import Context
-from acgd.experts import zoo
-from acgd.critics.settings import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
-from acgd.tasks.settings import TaskConfig
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
-from acgd.nn.q_ensemble import Critic
 from acgd.critics.fit import fit, own, spread
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
+from acgd.critics.settings import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
 from acgd.critics.targets import targets
 from acgd.critics.transitions import ROLLOUT, Transitions, concatenate
+from acgd.experts import zoo
 from acgd.experts.policy import Expert
+from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context
+from acgd.tasks.settings import TaskConfig
 from acgd.tracking.metrics import Metrics, read
 from acgd.tracking.progress import Progress
 
@@ -57,7 +57,16 @@ def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Criti
 
 def a_critic(state_dim: int, seed: int, members: int = 2, dueling: bool = False) -> Critic:
     generator = torch.Generator().manual_seed(seed)
-    critic = Critic(state_dim, 3, members=members, width=16, depth=2, action_space="excitation", dueling=dueling, generator=generator)
+    critic = Critic(
+        state_dim,
+        3,
+        members=members,
+        width=16,
+        depth=2,
+        action_space="excitation",
+        dueling=dueling,
+        generator=generator,
+    )
     if dueling:
         critic.advantage_unit.fill_(0.1 * (1 + seed))
     critic.state_mean.copy_(torch.randn(state_dim, generator=generator))
@@ -98,7 +107,11 @@ def test_horizon_one_is_one_step_fitted_q_evaluation():
 
 def test_fit_recovers_the_q_of_a_linear_problem():
     # V(s) = s / (1 - 0.8 * 0.5) = 5/3 s;  Q(s, a) = s + 0.5 a + 0.5 V(0.8 s + 0.2 a) = 5/3 s + 2/3 a
-    critic = fitted(linear_problem(), CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=500, batch=64, target_every=20, lr=5e-3), gamma=0.5)
+    critic = fitted(
+        linear_problem(),
+        CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=500, batch=64, target_every=20, lr=5e-3),
+        gamma=0.5,
+    )
     state = torch.tensor([[0.5], [-0.5], [0.2], [0.0]])
     action = torch.tensor([[0.0], [0.5], [-0.8], [0.6]])
     expected = 5 / 3 * state[:, 0] + 2 / 3 * action[:, 0]
@@ -106,7 +119,10 @@ def test_fit_recovers_the_q_of_a_linear_problem():
 
 
 def test_terminated_transitions_are_worth_their_reward():
-    critic = fitted(linear_problem(terminal=True), CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=600, batch=128, lr=3e-3))
+    critic = fitted(
+        linear_problem(terminal=True),
+        CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=600, batch=128, lr=3e-3),
+    )
     state, action = torch.tensor([[0.5], [-0.5]]), torch.tensor([[0.0], [0.5]])
     assert torch.allclose(critic(state, action), torch.tensor([0.5, -0.25]).expand(2, -1), atol=0.05)
 
@@ -130,7 +146,15 @@ def test_a_dueling_critic_ranks_actions_where_the_value_of_states_drowns_them():
         linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
         reward=(30 * np.sin(3 * state) + 0.05 * action)[:, 0],
     )  # fmt: skip
-    config = CriticConfig(action_space="raw", weight_decay=0.0, width=16, updates=300, batch=64, lr=1e-2, branches=BranchConfig(states=200, actions=4))
+    config = CriticConfig(
+        action_space="raw",
+        weight_decay=0.0,
+        width=16,
+        updates=300,
+        batch=64,
+        lr=1e-2,
+        branches=BranchConfig(states=200, actions=4),
+    )
     tried = torch.linspace(-1, 1, 8)[:, None]
     ranked = {}
     for weight, dueling in ((1.0, True), (1.0, False), (0.0, True)):
@@ -146,7 +170,9 @@ def test_the_value_of_a_dueling_critic_knows_no_action():
     with torch.no_grad():
         critic.advantage_unit.zero_()  # what is left is V
         state, action = torch.full((5, 1), 0.3), torch.linspace(-1, 1, 5)[:, None]
-        assert critic(state, action).std(1).max() < 1e-6 < critic(torch.linspace(-1, 1, 5)[:, None], action).std(1).min()
+        assert (
+            critic(state, action).std(1).max() < 1e-6 < critic(torch.linspace(-1, 1, 5)[:, None], action).std(1).min()
+        )
     assert not critic.weights[0][: critic.members, 1:].any()
 
 
@@ -171,7 +197,14 @@ def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
 
 def test_branches_of_a_state_share_one_bootstrap():
     # Two states, two branches of one step each; the second state's second branch terminates.
-    found = targets(np.array([1, 2, 3, 4], np.float32), np.array([0, 0, 0, 1], bool), np.zeros(4, bool), np.arange(1, 5), gamma=0.5, horizon=9)
+    found = targets(
+        np.array([1, 2, 3, 4], np.float32),
+        np.array([0, 0, 0, 1], bool),
+        np.zeros(4, bool),
+        np.arange(1, 5),
+        gamma=0.5,
+        horizon=9,
+    )
     value = torch.tensor([[10.0, 20.0, 30.0, 40.0]])
     z = branch_targets(found, value, torch.tensor([[0, 1], [2, 3]]))
     assert z.tolist() == [[1 + 0.5 * 15, 2 + 0.5 * 15], [3 + 0.5 * 30, 4]]
@@ -186,10 +219,17 @@ def test_differences_in_units_of_the_actions_distance():
     fit = FittedQ(data, TINY.model_copy(update={"action_space": "raw", "within_state_unit": "distance"}), 0.9, CPU)
     fit.refresh()
     scale, near = float(fit.critic.scale), 0.1 * 0.9  # the median of 0.1, 1, 0.9, twice
-    assert (scale * fit.difference).tolist() == [pytest.approx([-0.2, -2, -1.8]), pytest.approx([-0.4, -0.4, 0], abs=1e-6)]
+    assert (scale * fit.difference).tolist() == [
+        pytest.approx([-0.2, -2, -1.8]),
+        pytest.approx([-0.4, -0.4, 0], abs=1e-6),
+    ]
     distance = np.array([0.1, 1, 0.9]) + near
-    slopes = np.array([np.sqrt(np.mean((rise / distance) ** 2)) for rise in (np.array([0.2, 2, 1.8]), np.array([0.4, 0.4, 0]))])
-    assert (scale * fit.unit).numpy() == pytest.approx((slopes + slopes.min())[:, None] * distance, rel=1e-5)  # torch's median of two is the lower
+    slopes = np.array(
+        [np.sqrt(np.mean((rise / distance) ** 2)) for rise in (np.array([0.2, 2, 1.8]), np.array([0.4, 0.4, 0]))]
+    )
+    assert (scale * fit.unit).numpy() == pytest.approx(
+        (slopes + slopes.min())[:, None] * distance, rel=1e-5
+    )  # torch's median of two is the lower
 
 
 def test_noise_on_states_is_one_draw_for_all_actions_of_a_branched_state():
@@ -236,19 +276,30 @@ def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: tuple[bool,
     for row, t in enumerate(task):
         seen = state[row : row + 1, : critics[t].shape["state_dim"]]
         # `shift` cancels, and would only cost digits.
-        own = critics[t].scale * (critics[t].standard(seen, action[row : row + 1]) - critics[t].standard(seen, reference[row : row + 1]))[:, 0]
+        own = (
+            critics[t].scale
+            * (critics[t].standard(seen, action[row : row + 1]) - critics[t].standard(seen, reference[row : row + 1]))[
+                :, 0
+            ]
+        )
         expected = (own.mean() - 0.5 * own.std(correction=0)) / critics[t].spread
         assert float(gain[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
     assert aggregate(state, reference, reference, task).abs().max() < 1e-5
 
 
-@pytest.mark.parametrize(("members", "pessimism", "dueling"), [(1, 0.5, False), (2, 0.0, True), (2, 1.0, False), (2, 1.0, True)])
+@pytest.mark.parametrize(
+    ("members", "pessimism", "dueling"), [(1, 0.5, False), (2, 0.0, True), (2, 1.0, False), (2, 1.0, True)]
+)
 def test_gradient_reaches_the_action_and_nothing_else(members: int, pessimism: float, dueling: bool):
     critics = [a_critic(4, 0, members, dueling), a_critic(6, 1, members, dueling)]
     before = [value.clone() for critic in critics for value in critic.state_dict().values()]
     aggregate = AggregateCritic(critics, pessimism)
     aggregate.train()  # a student that calls .train() on all it holds changes nothing
-    state, action, reference = torch.randn(5, 6, requires_grad=True), torch.rand(5, 3, requires_grad=True), torch.rand(5, 3, requires_grad=True)
+    state, action, reference = (
+        torch.randn(5, 6, requires_grad=True),
+        torch.rand(5, 3, requires_grad=True),
+        torch.rand(5, 3, requires_grad=True),
+    )
     aggregate(state, action, reference, torch.tensor([0, 1, 1, 1, 0])).sum().backward()
     assert action.grad.isfinite().all() and (action.grad.abs().sum(1) > 0).all()
     assert state.grad is None and reference.grad is None and not list(aggregate.parameters())
@@ -260,7 +311,9 @@ def test_aggregate_refuses_what_it_cannot_stack():
     with pytest.raises(ValueError, match="differ in members"):
         AggregateCritic([a_critic(4, 0, 1), a_critic(4, 1, 2)], 0.0)
     with pytest.raises(ValueError, match="task id 2 for 1 critics"):
-        AggregateCritic([a_critic(4, 0)], 0.0)(torch.zeros(1, 4), torch.zeros(1, 3), torch.zeros(1, 3), torch.tensor([2]))
+        AggregateCritic([a_critic(4, 0)], 0.0)(
+            torch.zeros(1, 4), torch.zeros(1, 3), torch.zeros(1, 3), torch.tensor([2])
+        )
 
 
 # -- perturbations and configuration ---------------------------------------------------------------
@@ -331,11 +384,21 @@ def expert(lock: Lockstep) -> Expert:
 def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, expert: Expert):
     with QUIET(1, "") as bar:
         data, visits, given = rollouts(
-            lock, expert, PerturbationConfig(clean=1, gaussian=0, bursts=0), SEEDS.critic_quality, limit=6, beyond=60, episodes=2, visit_rate=1.0, bar=bar
+            lock,
+            expert,
+            PerturbationConfig(clean=1, gaussian=0, bursts=0),
+            SEEDS.critic_quality,
+            limit=6,
+            beyond=60,
+            episodes=2,
+            visit_rate=1.0,
+            bar=bar,
         )
         assert len(visits) <= 12 and len(given) == 2
         lengths = data.ends - data.starts
-        assert (lengths <= 66).all() and (data.terminated[data.ends - 1] == (lengths < 66)).all()  # past the task's 50 steps
+        assert (lengths <= 66).all() and (
+            data.terminated[data.ends - 1] == (lengths < 66)
+        ).all()  # past the task's 50 steps
         visit = next(v for v in visits if v.episode == 1)
         step = data.starts[1] + [v for v in visits if v.episode == 1].index(visit)
         actions, sources = candidates(expert, visit.state[None], 6, np.random.default_rng(0))
@@ -407,7 +470,9 @@ def test_the_unit_of_q_is_the_spread_over_actions_of_a_state_not_over_states(exp
 
     states = np.random.default_rng(0).standard_normal((600, expert.hidden1.in_features)).astype(np.float32)
     actions, _ = candidates(expert, states, 16, np.random.default_rng(1))
-    assert spread(Known(), expert, states, np.random.default_rng(2)) == pytest.approx(3.0 * np.median(actions[:, :, 0].std(1, ddof=1)), rel=0.1)
+    assert spread(Known(), expert, states, np.random.default_rng(2)) == pytest.approx(
+        3.0 * np.median(actions[:, :, 0].std(1, ddof=1)), rel=0.1
+    )
 
 
 def test_a_ppo_expert_has_no_critics_of_its_own(tmp_path: Path):
@@ -425,7 +490,9 @@ def test_an_experts_own_critics_are_measured_like_fitted_ones(tmp_path: Path, ex
         fit(request, {"expert": tmp_path}, Context(out, state, metrics, QUIET, CPU))
     meta = json.loads((out / "critic.json").read_text())
     assert meta["source"] == "expert" and meta["branched_states"] == 0
-    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= json.loads((out / "quality.json").read_text()).keys()
+    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= json.loads(
+        (out / "quality.json").read_text()
+    ).keys()
     assert Critic.load(out).spread > 0
 
 

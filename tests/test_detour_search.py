@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from acgd.experts.settings import DaggerConfig
-from acgd.tasks.settings import TaskConfig
 from acgd.experts.muscle import detour_search
 from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
-from acgd.tasks import registry
+from acgd.experts.settings import DaggerConfig
 from acgd.simulate.seeds import SEEDS
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 
 TEACHER = DaggerConfig(rate=2.5, damping=0.3)
 
@@ -18,13 +18,16 @@ def test_the_shipped_detour_scores_better_than_the_straight_way():
     env = registry.make(TaskConfig(name="myo/pose"), image=False)
     seeds, known = SEEDS.expert_training.take(3), DETOURS["myo/pose"]
     straight = Detour(steps=0, gain=1.0, posture=np.zeros(len(CLENCHED)), share=np.ones(len(CLENCHED)))
-    assert detour_search.score(env, known, TEACHER, seeds) < 0.9 < 1.3 < detour_search.score(env, straight, TEACHER, seeds)
+    assert (
+        detour_search.score(env, known, TEACHER, seeds) < 0.9 < 1.3 < detour_search.score(env, straight, TEACHER, seeds)
+    )
 
 
 def test_a_search_repeats_itself_and_moves():
     """From FIRST, by more than nothing and less than its spread."""
     one, two = (
-        [next(found) for _ in range(2)][-1] for found in (detour_search.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
+        [next(found) for _ in range(2)][-1]
+        for found in (detour_search.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
     )
     assert np.array_equal(one.detour.posture, two.detour.posture) and (one.score, one.rate) == (two.score, two.rate)
     assert 0 < np.abs(one.detour.posture).max() < 3 * detour_search.SPREAD and one.generation == 2

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.collection.settings import RolloutsConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.experts.policy import Expert
 from acgd.collection.episode import run_wave
+from acgd.collection.settings import RolloutsConfig
+from acgd.experts.policy import Expert
+from acgd.simulate.lockstep import Lockstep
 from acgd.tasks import allegro, registry, spray
 from acgd.tasks.dexterous import AFTERWARDS, SCENES, SMOOTHING, DexterousTask
-from acgd.simulate.lockstep import Lockstep
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import Snapshot
 from acgd.tasks.spray import BOTTLES, HOLD_STEPS, SprayScene
 from tests.open_loop import SOLUTIONS, follow
@@ -44,7 +44,9 @@ def test_forward_kinematics_of_the_allegro_hand():
     known = [(0, 0.0553, 0.1334), (0, 0, 0.1362), (0, -0.0553, 0.1334), (-0.0132, 0.1677, -0.0861)]
     assert np.allclose(tips, known, atol=1e-4)
     assert (model.nq, model.nu) == (22, 22)
-    assert [model.joint(i).name for i in range(22)] == [model.actuator(i).name for i in range(22)] == list(allegro.JOINTS)
+    assert (
+        [model.joint(i).name for i in range(22)] == [model.actuator(i).name for i in range(22)] == list(allegro.JOINTS)
+    )
 
 
 def test_the_wrist_slides_along_the_axes_of_the_world(env):
@@ -116,7 +118,9 @@ def test_success_takes_ten_steps_in_a_row(env, monkeypatch):
     steps = [env.step(np.zeros(22)) for _ in pressed]
     assert [step[4]["solved"] for step in steps] == [False] * (len(pressed) - 1) + [True]
     held = [step[0]["state"][env.state_layout["held"]].item() for step in steps]
-    assert held == pytest.approx([min(n, HOLD_STEPS) / HOLD_STEPS for n in (1, 2, 3, 4, 5, 0, *range(1, HOLD_STEPS + 1))])
+    assert held == pytest.approx(
+        [min(n, HOLD_STEPS) / HOLD_STEPS for n in (1, 2, 3, 4, 5, 0, *range(1, HOLD_STEPS + 1))]
+    )
 
 
 def test_a_toppled_bottle_ends_the_episode(env):

@@ -41,6 +41,8 @@ def test_every_link_leads_somewhere(page: str, target: str) -> None:
 
 def test_the_code_column_of_the_deviations_names_files() -> None:
     page = (ROOT / "docs" / "deviations.md").read_text()
-    named = re.findall(r"`((?:tasks|experts|critics|rollouts|vision|students|evaluation|reports|config)/[\w/]*(?:\.py)?)`", page)
+    named = re.findall(
+        r"`((?:tasks|experts|critics|rollouts|vision|students|evaluation|reports|config)/[\w/]*(?:\.py)?)`", page
+    )
     assert len(named) > 10
     assert [name for name in named if not (ROOT / "acgd" / name).exists()] == []

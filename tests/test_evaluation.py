@@ -10,25 +10,25 @@ import torch
 from imageio_ffmpeg import count_frames_and_secs, read_frames
 from scipy.stats import binomtest
 
-from acgd.store.stage import Context
-from acgd.evaluation.settings import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
-from acgd.students.settings import CodebookConfig
-from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.clips import film, filming, write_mp4
 from acgd.evaluation.controls import CONTROLS, controls, nearest, replay
 from acgd.evaluation.episodes import Episode, Label, expert_policy, padded, read, roll, run, seeds_of
 from acgd.evaluation.evaluate import StudentPolicy, evaluate, plan
 from acgd.evaluation.goals import demonstration_for, oracle_goals, training_goals
 from acgd.evaluation.intervals import mcnemar, over_seeds, paired_difference, wilson
+from acgd.evaluation.settings import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
 from acgd.evaluation.summary import success_rows
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import write_group
-from acgd.students.codebook import Sizes
-from acgd.students.student import Student
-from acgd.tasks import registry
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context
+from acgd.students.codebook import Sizes
+from acgd.students.settings import CodebookConfig
+from acgd.students.student import Student
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
@@ -47,7 +47,9 @@ def context(folder: Path) -> Context:
 
 def random_expert(task: TaskConfig) -> Expert:
     env = registry.make(task, image=False)
-    return Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0], seed=1, meta={"task": task.name})
+    return Expert.random(
+        env.observation_space["state"].shape[0], env.action_space.shape[0], seed=1, meta={"task": task.name}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,9 @@ def test_wilson_refuses_what_is_no_rate():
 
 def test_over_seeds_is_students_t():
     found = over_seeds([0.68, 0.70, 0.72])
-    assert (found.mean, found.low, found.high) == pytest.approx((0.70, 0.70 - 4.302653 * 0.02 / 3**0.5, 0.70 + 4.302653 * 0.02 / 3**0.5), abs=1e-6)
+    assert (found.mean, found.low, found.high) == pytest.approx(
+        (0.70, 0.70 - 4.302653 * 0.02 / 3**0.5, 0.70 + 4.302653 * 0.02 / 3**0.5), abs=1e-6
+    )
     assert (over_seeds([0.4]).low, over_seeds([0.4]).high) == (0.0, 1.0)
 
 
@@ -173,7 +177,10 @@ def test_lockstep_equals_one_after_the_other(expert):
     actions = rng.uniform(-1, 0, (50, 3, 39)).astype(np.float32)
     together, _ = roll(Lockstep(PEN, 3, image=False), seeds, lambda obs, t: actions[t], LABEL)
     lock = Lockstep(PEN, 1, image=False)
-    alone = [roll(lock, [seed], lambda obs, t, i=i: actions[t, i : i + 1], LABEL)[0][0] for i, seed in reversed(list(enumerate(seeds)))]
+    alone = [
+        roll(lock, [seed], lambda obs, t, i=i: actions[t, i : i + 1], LABEL)[0][0]
+        for i, seed in reversed(list(enumerate(seeds)))
+    ]
     assert together == alone[::-1]
     assert len({e.reward for e in together}) == 3
 
@@ -222,7 +229,11 @@ def test_nominal_starts_are_not_counted_twice():
 def test_success_rows_hold_every_rule_with_its_interval():
     episodes = [Episode(LABEL, seed, seed < 2, seed < 1, seed < 3, 50, float(seed)) for seed in range(4)]
     rows = success_rows(episodes)
-    assert [(row["rule"], row["successes"], row["episodes"]) for row in rows] == [("final", 2, 4), ("held", 1, 4), ("once", 3, 4)]
+    assert [(row["rule"], row["successes"], row["episodes"]) for row in rows] == [
+        ("final", 2, 4),
+        ("held", 1, 4),
+        ("once", 3, 4),
+    ]
     assert rows[0]["low"] == wilson(2, 4).low and rows[0]["mean_return"] == 1.5
 
 
@@ -280,7 +291,9 @@ def test_the_student_sees_image_and_proprio_in_full_batches_and_nothing_else(shu
 
     roll(lock, seeds, watched, LABEL)
     task_ids, goal_images, row_seeds = spy.started
-    assert task_ids.tolist() == [1, 1, 1] and goal_images.ravel().tolist() == [0, 1, 1] and row_seeds == [*seeds, seeds[1]]
+    assert (
+        task_ids.tolist() == [1, 1, 1] and goal_images.ravel().tolist() == [0, 1, 1] and row_seeds == [*seeds, seeds[1]]
+    )
     for obs, seen in zip(given, spy.seen, strict=True):
         assert set(obs) == {"image", "proprio", "state"} and set(seen) == {"image", "proprio"}
         assert np.array_equal(seen["proprio"], obs["proprio"][[0, 1, 1]])
@@ -289,10 +302,20 @@ def test_the_student_sees_image_and_proprio_in_full_batches_and_nothing_else(shu
 
 
 def test_conditions_that_the_student_cannot_tell_apart_run_once():
-    conditions = (Condition(), Condition(image_features="shuffled"), Condition(goal="oracle"), Condition(start="nominal"))
+    conditions = (
+        Condition(),
+        Condition(image_features="shuffled"),
+        Condition(goal="oracle"),
+        Condition(start="nominal"),
+    )
     request = EvaluationRequest(tasks=(PEN, HOLD), evaluation=EvaluationConfig(episodes=4, conditions=conditions))
     with_goal, without = plan(request, uses_goal=True), plan(request, uses_goal=False)
-    assert len(with_goal) == 8 and [r.label.goal for r in with_goal[::2]] == ["training", "training", "oracle", "training"]
+    assert len(with_goal) == 8 and [r.label.goal for r in with_goal[::2]] == [
+        "training",
+        "training",
+        "oracle",
+        "training",
+    ]
     assert len(without) == 6 and {r.label.goal for r in without} == {"none"}
     assert [r.place for r in without] == [0, 1] * 3
     assert [len(r.seeds) for r in with_goal[-2:]] == [1, 1]
@@ -308,7 +331,9 @@ def student(tmp_path_factory) -> Path:
     """An untrained student with its own CNN."""
     folder = tmp_path_factory.mktemp("student")
     torch.manual_seed(0)
-    config = CodebookConfig(chunk=4, history=2, groups=2, codes=4, width=16, heads=2, encoder_layers=1, decoder_layers=1)
+    config = CodebookConfig(
+        chunk=4, history=2, groups=2, codes=4, width=16, heads=2, encoder_layers=1, decoder_layers=1
+    )
     made = Student(config, Sizes(features=16, proprio=85, actions=39, tasks=2, owns_cnn=True))
     made.save(folder, {"best": made.state_dict()}, {})
     return folder
@@ -328,7 +353,10 @@ def test_the_stage_evaluates_films_and_resumes_to_the_same_bytes(artifacts, stud
 
     episodes = read(tmp_path / "whole/out/episodes.jsonl")
     assert [(e.label.goal, e.label.task, e.seed) for e in episodes] == [
-        (goal, task.name, seed) for goal in ("training", "oracle") for task in (PEN, HOLD) for seed in SEEDS.evaluation.take(3)
+        (goal, task.name, seed)
+        for goal in ("training", "oracle")
+        for task in (PEN, HOLD)
+        for seed in SEEDS.evaluation.take(3)
     ]
     clips = sorted((tmp_path / "whole/out/clips").iterdir())
     assert [c.name for c in clips] == ["myo-obj-hold-failure.mp4", "myo-pen-twirl-failure.mp4"]

@@ -8,27 +8,30 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from acgd.experts import zoo
-from acgd.experts.settings import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.experts import train
+from acgd.experts import train, zoo
 from acgd.experts.muscle import learn as dagger
-from acgd.experts.ppo import learn as ppo
-from acgd.experts.sac import learn as sac
 from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.policy import LOG_STD, Expert
-from acgd.nn.q_ensemble import Critic
+from acgd.experts.ppo import learn as ppo
+from acgd.experts.sac import learn as sac
 from acgd.experts.sac.replay import Replay
 from acgd.experts.sac.update import SACUpdate
+from acgd.experts.settings import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
 from acgd.experts.training_env import StateOnly
 from acgd.nn.excitation import excitation
+from acgd.nn.q_ensemble import Critic
+from acgd.tasks.settings import TaskConfig
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
-SMALL = PPOConfig(steps=96, envs=2, rollout_steps=16, batch=16, epochs=2, width=8, learning_rate=1e-3, learning_rate_end=1e-4)
+SMALL = PPOConfig(
+    steps=96, envs=2, rollout_steps=16, batch=16, epochs=2, width=8, learning_rate=1e-3, learning_rate_end=1e-4
+)
 REQUEST = ExpertRequest(
     task=TaskConfig(name="myo/pen-twirl"),
-    expert=ExpertSettings(source="train", ppo=SMALL, evaluate_every=32, evaluation_episodes=2, checkpoint_every=32, card_episodes=2),
+    expert=ExpertSettings(
+        source="train", ppo=SMALL, evaluate_every=32, evaluation_episodes=2, checkpoint_every=32, card_episodes=2
+    ),
 )
 
 
@@ -106,7 +109,9 @@ def test_replay_sums_n_rewards_bootstraps_past_time_limits_and_stops_at_terminat
 
 
 def learner(**settings) -> SACUpdate:
-    return SACUpdate(3, 2, SACConfig(width=16, batch=32, precision="float32", **settings), torch.Generator().manual_seed(0))
+    return SACUpdate(
+        3, 2, SACConfig(width=16, batch=32, precision="float32", **settings), torch.Generator().manual_seed(0)
+    )
 
 
 def batch_of(reward: float, discount: float) -> tuple:
@@ -125,7 +130,12 @@ def test_sac_density_is_that_of_its_actions():
     centre = torch.from_numpy((edges[1:] + edges[:-1]) / 2)
     wanted = torch.distributions.Normal(mean, log_std.exp()).log_prob(centre.atanh()).exp() / (1 - centre**2)
     assert density / len(one) / (edges[1] - edges[0]) == pytest.approx(wanted.numpy(), abs=0.06)
-    normals = torch.distributions.Normal(*(v[0].detach() if i == 0 else v[0].detach().exp() for i, v in enumerate(update.actor.gaussian(torch.zeros(1, 3)))))
+    normals = torch.distributions.Normal(
+        *(
+            v[0].detach() if i == 0 else v[0].detach().exp()
+            for i, v in enumerate(update.actor.gaussian(torch.zeros(1, 3)))
+        )
+    )
     wanted = (normals.log_prob(actions.detach().atanh()) - torch.log(1 - actions.detach() ** 2)).sum(-1)
     assert log_prob.detach()[:100].numpy() == pytest.approx(wanted[:100].numpy(), abs=1e-3)
 
@@ -143,14 +153,20 @@ def test_sac_critics_learn_the_reward_where_nothing_follows_and_the_policy_climb
 def test_sac_target_moves_by_tau_and_only_the_critics_step_between_policy_updates():
     update = learner(actor_every=2, tau=0.25)
     update.update(batch_of(1.0, 0.9))
-    policy, old = [p.detach().clone() for p in update.actor.parameters()], [p.clone() for p in update.target.parameters()]
+    policy, old = (
+        [p.detach().clone() for p in update.actor.parameters()],
+        [p.clone() for p in update.target.parameters()],
+    )
     update.update(batch_of(1.0, 0.9))
     assert all(torch.equal(a, b) for a, b in zip(policy, update.actor.parameters()))
     for before, after, critic in zip(old, update.target.parameters(), update.critic.parameters()):
         assert torch.allclose(after, before + 0.25 * (critic.detach() - before), atol=1e-6)
 
 
-@pytest.mark.parametrize(("instructions", "arithmetic"), [({"avx2": True}, torch.float32), ({"avx2": True, "avx512_bf16": True}, torch.bfloat16)])
+@pytest.mark.parametrize(
+    ("instructions", "arithmetic"),
+    [({"avx2": True}, torch.float32), ({"avx2": True, "avx512_bf16": True}, torch.bfloat16)],
+)
 def test_bfloat16_is_asked_of_a_processor_only_where_it_has_it(instructions, arithmetic, monkeypatch):
     """Elsewhere the same settings give what float32 gives, bit for bit."""
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: instructions)
@@ -167,7 +183,9 @@ def test_bfloat16_is_asked_of_a_processor_only_where_it_has_it(instructions, ari
 def test_sac_s_networks_batches_and_noise_meet_on_its_device(precision, monkeypatch):
     """On a device without numbers, which refuses to mix with the processor just as a GPU does."""
     monkeypatch.setattr(torch.optim, "Adam", lambda weights, rate, fused, Adam=torch.optim.Adam: Adam(weights, rate))
-    update = SACUpdate(3, 2, SACConfig(width=16, batch=32, precision=precision), torch.Generator().manual_seed(0), torch.device("meta"))
+    update = SACUpdate(
+        3, 2, SACConfig(width=16, batch=32, precision=precision), torch.Generator().manual_seed(0), torch.device("meta")
+    )
     update.normalise(torch.zeros(3), torch.ones(3), 1.0)
     for _ in range(2):
         update.update(batch_of(1.0, 0.9))
@@ -188,7 +206,10 @@ def test_squashed_expert_survives_the_disk_and_its_spread_depends_on_the_state(t
 
 def test_settings_of_the_other_algorithm_do_not_count():
     one = ExpertSettings(algorithm="sac", ppo=SMALL).only_used()
-    assert one == ExpertSettings(algorithm="sac").only_used() and one != ExpertSettings(algorithm="sac", sac=SMALL_SAC).only_used()
+    assert (
+        one == ExpertSettings(algorithm="sac").only_used()
+        and one != ExpertSettings(algorithm="sac", sac=SMALL_SAC).only_used()
+    )
     assert ExpertSettings(algorithm="sac", sac=SMALL_SAC).learner == SMALL_SAC
 
 
@@ -254,11 +275,17 @@ def test_sac_goes_on_from_another_task_s_expert_and_its_critics(tmp_path):
     with open(tmp_path / "log", "w") as log:
         expert, _ = sac.train_sac(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
         known, critics, own = Expert.load(first), Critic.load(first), Critic.load(tmp_path / "best")
-        assert torch.equal(expert.action.weight, known.action.weight) and torch.equal(own.weights[0], critics.weights[0])
-        assert own.scale == pytest.approx(float(critics.scale), rel=0.01) and expert.state_std == pytest.approx(known.state_std, rel=0.01)
+        assert torch.equal(expert.action.weight, known.action.weight) and torch.equal(
+            own.weights[0], critics.weights[0]
+        )
+        assert own.scale == pytest.approx(float(critics.scale), rel=0.01) and expert.state_std == pytest.approx(
+            known.state_std, rel=0.01
+        )
         states = np.fromfile(tmp_path / "replay" / "state.f32", np.float32).reshape(-1, len(known.state_mean))[:8]
         tried = np.fromfile(tmp_path / "replay" / "action.f32", np.float32).reshape(-1, 39)[:8]
-        assert np.abs(tried - known.mean(states)).mean() < 0.3 < np.abs(tried - known.mean(np.roll(states, 1, 1))).mean()
+        assert (
+            np.abs(tried - known.mean(states)).mean() < 0.3 < np.abs(tried - known.mean(np.roll(states, 1, 1))).mean()
+        )
         small = changed("myo/obj-hold", algorithm="sac", sac=SMALL_SAC, warm_start="myo/obj-hold-hard")
         with pytest.raises(ValueError, match="warm_start have other sizes"):
             sac.train_sac(small, tmp_path / "small", Metrics(tmp_path / "metrics.jsonl"), Progress(log))
@@ -270,11 +297,18 @@ def test_ppo_goes_on_from_the_muscle_controller_s_pupil(tmp_path):
     request = changed("myo/reach", ppo=SMALL, dagger=tiny, warm_start="dagger")
     assert request.expert.only_used() == request.expert
     with pytest.raises(ValueError, match="ppo.width 64 must be expert.dagger.width 32"):
-        changed("myo/reach", ppo=SMALL.model_copy(update={"width": 64}), dagger=tiny.model_copy(update={"width": 32}), warm_start="dagger")
+        changed(
+            "myo/reach",
+            ppo=SMALL.model_copy(update={"width": 64}),
+            dagger=tiny.model_copy(update={"width": 32}),
+            warm_start="dagger",
+        )
     with open(tmp_path / "log", "w") as log:
         expert, points = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
         pupil = Expert.load(tmp_path / "dagger" / "best")
-        assert [point["step"] for point in points] == [32, 64, 96] and expert.state_mean == pytest.approx(pupil.state_mean, abs=0.05)
+        assert [point["step"] for point in points] == [32, 64, 96] and expert.state_mean == pytest.approx(
+            pupil.state_mean, abs=0.05
+        )
         shutil.rmtree(tmp_path / "dagger")
         again, _ = ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     assert torch.equal(again.action.weight, expert.action.weight)
@@ -289,13 +323,20 @@ def test_the_value_function_learns_before_a_policy_with_a_warm_start_moves(tmp_p
         folder.mkdir()
         monkeypatch.setattr(ppo, "VALUE_FIRST", still)
         found = []
-        monkeypatch.setattr(ppo, "_save", lambda state, model, *_: found.append({k: v.clone() for k, v in model.policy.state_dict().items()}))
+        monkeypatch.setattr(
+            ppo,
+            "_save",
+            lambda state, model, *_: found.append({k: v.clone() for k, v in model.policy.state_dict().items()}),
+        )
         request = changed("myo/reach", ppo=SMALL, dagger=tiny, warm_start=first, checkpoint_every=32)
         with open(folder / "log", "w") as log:
             ppo.train_ppo(request, folder, Metrics(folder / "metrics.jsonl"), Progress(log))
         assert len(found) == 3
         moved[first, still] = [
-            tuple(not torch.equal(before[name], after[name]) for name in ("action_net.weight", "log_std", "value_net.weight"))
+            tuple(
+                not torch.equal(before[name], after[name])
+                for name in ("action_net.weight", "log_std", "value_net.weight")
+            )
             for before, after in zip(found, found[1:])
         ]
     assert moved == {
@@ -364,7 +405,9 @@ def test_other_tasks_have_no_muscle_controller(task):
 
 def test_dagger_learns_what_the_teacher_does(tmp_path):
     """In muscle excitations, on states that it visited itself."""
-    request = changed("myo/reach", algorithm="dagger", dagger=DaggerConfig(steps=4800, rounds=3, width=64), evaluate_every=10**6)
+    request = changed(
+        "myo/reach", algorithm="dagger", dagger=DaggerConfig(steps=4800, rounds=3, width=64), evaluate_every=10**6
+    )
     with open(tmp_path / "log", "w") as log:
         expert, points = dagger.train_dagger(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     last = load_file(tmp_path / "round-002.safetensors")
@@ -381,7 +424,9 @@ def test_only_pose_tasks_train_from_starts_on_the_way():
     error = {}
     for request in (pose, ExpertRequest(task=pose.task)):
         env = StateOnly(request, 0)
-        error[request.expert.advanced_starts] = np.mean([np.abs(env.reset()[0][env.unwrapped.state_layout["pose_err"]]).sum() for _ in range(10)])
+        error[request.expert.advanced_starts] = np.mean(
+            [np.abs(env.reset()[0][env.unwrapped.state_layout["pose_err"]]).sum() for _ in range(10)]
+        )
     assert error[1.0] < 0.75 * error[0.0]
 
 
@@ -459,5 +504,8 @@ def test_shipped_cards_belong_to_their_weights_and_hold_what_they_claim():
         final = card["success"]["final"]
         assert card["episodes"] >= 200 and final["low"] < final["rate"] == final["successes"] / card["episodes"]
         request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
-        assert request.expert.learner.model_dump() == card["settings"] and request.expert.reward_weights == card["reward_weights"]
+        assert (
+            request.expert.learner.model_dump() == card["settings"]
+            and request.expert.reward_weights == card["reward_weights"]
+        )
         assert sum(path.stat().st_size for path in folder.rglob("*")) < 2e6

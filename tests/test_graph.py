@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from acgd.store import key, versions
-from acgd.study.plan import plan
 from acgd.experts import zoo
+from acgd.store import key, versions
 from acgd.study.load import merge
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,18 @@ def remade(edit):
 def test_variants_share_all_that_they_agree_on():
     stages = [artifact.stage for artifact in planned().artifacts.values()]
     counts = {stage: stages.count(stage) for stage in versions.STAGES}
-    assert counts == dict(expert=2, critic=2, rollouts=2, backbone=1, features=2, codebook=2, student=4, evaluation=4, controls=1, report=1)
+    assert counts == dict(
+        expert=2,
+        critic=2,
+        rollouts=2,
+        backbone=1,
+        features=2,
+        codebook=2,
+        student=4,
+        evaluation=4,
+        controls=1,
+        report=1,
+    )
 
 
 def test_upstream_comes_first():
@@ -151,12 +162,22 @@ def test_a_zoo_file_is_in_the_key_of_all_that_follows_from_it(tmp_path, monkeypa
     for task in BASE["tasks"]:
         _stock(tmp_path, task)
     before = planned(edit)
-    assert {artifact.stage for place, artifact in planned({"expert": {"source": "zoo", "ppo": {"steps": 7}}}).artifacts.items() if place not in before.artifacts} <= {"report"}
+    assert {
+        artifact.stage
+        for place, artifact in planned({"expert": {"source": "zoo", "ppo": {"steps": 7}}}).artifacts.items()
+        if place not in before.artifacts
+    } <= {"report"}
     _stock(tmp_path, "myo/pose", b"others")
     after = planned(edit)
     for name in ("acgd/myo-reach/expert", "acgd/myo-reach/critic", "acgd/myo-reach/rollouts"):
         assert after.names[name][0].key == before.names[name][0].key
-    for name in ("acgd/myo-pose/expert", "acgd/myo-pose/critic", "acgd/backbone", "no-guidance/student", "no-guidance/controls"):
+    for name in (
+        "acgd/myo-pose/expert",
+        "acgd/myo-pose/critic",
+        "acgd/backbone",
+        "no-guidance/student",
+        "no-guidance/controls",
+    ):
         assert after.names[name][0].key != before.names[name][0].key
 
 
@@ -193,7 +214,9 @@ def test_the_report_finds_its_inputs_by_place():
     names = planned().names
     for (variant, seed), entry in entries.items():
         assert report.inputs["student"][entry.student].key == names[f"{variant}/seed-{seed}/student"][0].key
-        assert [report.inputs["critic"][place].name for place in entry.critic] == (["myo-reach", "myo-pose"] if variant == "acgd" else [])
+        assert [report.inputs["critic"][place].name for place in entry.critic] == (
+            ["myo-reach", "myo-pose"] if variant == "acgd" else []
+        )
 
 
 def test_canonical_json_refuses_what_has_no_equal():

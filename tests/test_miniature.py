@@ -11,17 +11,31 @@ from pathlib import Path
 
 import pytest
 
-from acgd.study.plan import plan
+from acgd.experts import zoo
 from acgd.store.job import request_file, write_requests
 from acgd.store.store import Store, check
-from acgd.experts import zoo
 from acgd.study.load import read_yaml
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "tests/miniature.yaml"
-SNAKEMAKE = [str(Path(sys.executable).with_name("snakemake")), "--snakefile", str(ROOT / "workflow/Snakefile"), "--configfile", str(STUDY), "--cores", "2"]
-TRAINED = ("acgd/myo-reach/critic", "acgd/backbone", "acgd/seed-0/codebook", "acgd/seed-0/student", "no-guidance/seed-0/student")
+SNAKEMAKE = [
+    str(Path(sys.executable).with_name("snakemake")),
+    "--snakefile",
+    str(ROOT / "workflow/Snakefile"),
+    "--configfile",
+    str(STUDY),
+    "--cores",
+    "2",
+]
+TRAINED = (
+    "acgd/myo-reach/critic",
+    "acgd/backbone",
+    "acgd/seed-0/codebook",
+    "acgd/seed-0/student",
+    "no-guidance/seed-0/student",
+)
 
 STOPPED = """
 import os, signal, sys
@@ -125,10 +139,18 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
     job = [artifact.stage, str(request_file(Store(Path("results")), artifact.place)), "--device", "cpu"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     for steps in (random.randint(1, 4), random.randint(6, 9), random.randint(5, 7)):
-        run = subprocess.run([sys.executable, "-c", STOPPED, str(steps), *job], cwd=folder, env=environment, capture_output=True, text=True)
+        run = subprocess.run(
+            [sys.executable, "-c", STOPPED, str(steps), *job],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
         assert run.returncode == -signal.SIGKILL, run.stderr[-3000:]
         assert not Store(folder / "results").has(artifact.place)
-    run = subprocess.run([sys.executable, "-m", "acgd", *job], cwd=folder, env=environment, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-m", "acgd", *job], cwd=folder, env=environment, capture_output=True, text=True
+    )
     assert run.returncode == 0 and "going on from its checkpoint" in run.stderr, run.stderr[-3000:]
     assert manifest(folder, artifact.place) == manifest(uninterrupted, artifact.place)
 
@@ -137,7 +159,9 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
 def test_a_workflow_killed_in_the_middle_goes_on(whole, uninterrupted, without, planned):
     """Killed alone, Snakemake leaves jobs that go on working; the next workflow waits for them, or finds what they made."""
     folder = without(planned.names["acgd/backbone"][0], planned.names["acgd/seed-0/codebook"][0])
-    running = subprocess.Popen([*SNAKEMAKE, "all"], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    running = subprocess.Popen(
+        [*SNAKEMAKE, "all"], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     while not list((folder / "results/work").glob("codebook/*/*/lock")):
         assert running.poll() is None, "the workflow ended before it was killed"
         time.sleep(0.01)

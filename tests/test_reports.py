@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from study_artifacts import TASKS, study
 
-from acgd.reports.settings import ReportConfig
 from acgd.evaluation.intervals import wilson
 from acgd.reports import numbers
 from acgd.reports.artifact import Artifact
@@ -18,6 +17,7 @@ from acgd.reports.evidence import Evidence
 from acgd.reports.ledger import STAGES
 from acgd.reports.page import render
 from acgd.reports.report import report as stage
+from acgd.reports.settings import ReportConfig
 from acgd.tracking.metrics import Metrics
 
 GUIDED = {"acgd": [0.88, 0.72, 0.8], "no-guidance": [0.84, 0.72, 0.8]}
@@ -72,7 +72,12 @@ def test_conditions_that_a_student_without_goal_cannot_tell_apart_count_once(tmp
 def test_controls_are_rows_of_the_same_table(made) -> None:
     table = pd.read_csv(made[0] / "success.csv")
     controls = set(table.loc[table["kind"] == "control", "variant"])
-    replays = {"control: open-loop replay", "control: nearest-start replay", "control: expert", "control: expert, nominal start"}
+    replays = {
+        "control: open-loop replay",
+        "control: nearest-start replay",
+        "control: expert",
+        "control: expert, nominal start",
+    }
     assert controls == replays | {"control: acgd, shuffled images", "control: no-guidance, shuffled images"}
     assert (table.loc[table["variant"] == "control: expert, nominal start", "episodes"] == 1).all()
 
@@ -102,7 +107,17 @@ def test_ids_of_the_figures_do_not_collide(made) -> None:
 
 def test_figures_are_files_too_and_well_formed(made) -> None:
     names = {path.stem for path in made[0].glob("*.svg")}
-    assert names == {"success", "paired", "curves", "codebook-curves", "backbone-curves", "experts", "critics", "critic-curves", "guidance"}
+    assert names == {
+        "success",
+        "paired",
+        "curves",
+        "codebook-curves",
+        "backbone-curves",
+        "experts",
+        "critics",
+        "critic-curves",
+        "guidance",
+    }
     for path in made[0].glob("*.svg"):
         ElementTree.parse(path)
         assert "<dc:date>" not in path.read_text()
@@ -142,13 +157,18 @@ def test_a_task_that_replay_solves_is_named(tmp_path: Path) -> None:
     assert "as well as the best student on myo/key-turn (nearest-start replay 0.40, best student 0.36): there" in text
 
 
-@pytest.mark.parametrize(("kept", "verdict"), [(0.1, "The study is visual"), (0.9, "The study is not visual"), (None, "was not measured")])
+@pytest.mark.parametrize(
+    ("kept", "verdict"), [(0.1, "The study is visual"), (0.9, "The study is not visual"), (None, "was not measured")]
+)
 def test_it_says_whether_the_study_is_visual(tmp_path: Path, kept: float | None, verdict: str) -> None:
     assert verdict in said(*study(tmp_path, {"acgd": [0.8], "no-guidance": [0.8]}, shuffled=kept, seeds=(0,)))
 
 
 def test_faint_guidance_is_called_none(made) -> None:
-    assert "the critics’ gradient stayed below 1% of imitation’s for myo/reach (acgd, 3 students), which counts as no guidance" in words(made[1])
+    assert (
+        "the critics’ gradient stayed below 1% of imitation’s for myo/reach (acgd, 3 students), which counts as no guidance"
+        in words(made[1])
+    )
 
 
 def test_numbers_carry_their_interval_and_counts(made) -> None:
@@ -176,12 +196,20 @@ def test_a_study_of_one_variant_and_task(tmp_path: Path) -> None:
 
 def test_variants_are_compared_on_common_seeds_alone(tmp_path: Path) -> None:
     request, inputs = study(tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]})
-    entries = tuple(entry for entry in request.entries if (entry.variant, entry.seed) not in {("acgd", 0), ("no-guidance", 1), ("no-guidance", 2)})
-    assert "acgd shares no student seed, start and task with no-guidance" in said(request.model_copy(update={"entries": entries}), inputs)
+    entries = tuple(
+        entry
+        for entry in request.entries
+        if (entry.variant, entry.seed) not in {("acgd", 0), ("no-guidance", 1), ("no-guidance", 2)}
+    )
+    assert "acgd shares no student seed, start and task with no-guidance" in said(
+        request.model_copy(update={"entries": entries}), inputs
+    )
 
 
 def test_an_unknown_baseline_is_refused_with_the_known_ones(tmp_path: Path) -> None:
-    request, inputs = study(tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]}, config=ReportConfig(baseline="nothing"))
+    request, inputs = study(
+        tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]}, config=ReportConfig(baseline="nothing")
+    )
     with pytest.raises(ValueError, match="'nothing'.*choose one of acgd, no-guidance"):
         said(request, inputs)
 

@@ -38,5 +38,9 @@ def test_direct_dependencies_stand_in_the_lock_with_the_same_version() -> None:
 
 def test_everything_imported_is_a_direct_dependency() -> None:
     distributions, direct = packages_distributions(), pins("requirements.txt")
-    lacking = {name for name in imported("acgd") | imported("benchmarks") if not {normal(d) for d in distributions.get(name, [])} & set(direct)}
+    lacking = {
+        name
+        for name in imported("acgd") | imported("benchmarks")
+        if not {normal(d) for d in distributions.get(name, [])} & set(direct)
+    }
     assert lacking == set()

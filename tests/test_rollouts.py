@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from acgd.store.stage import Context
-from acgd.collection.settings import RolloutsConfig, RolloutsRequest
-from acgd.tasks.settings import TaskConfig
-from acgd.experts.policy import Expert
 from acgd.collection import collect as collecting
-from acgd.rollouts.dataset import Demonstrations
 from acgd.collection.episode import run_wave
+from acgd.collection.settings import RolloutsConfig, RolloutsRequest
+from acgd.experts.policy import Expert
+from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.rerender import rerender
 from acgd.rollouts.store import DamagedStoreError, read_group, write_group
 from acgd.rollouts.windows import Windows
-from acgd.tasks import registry
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
@@ -59,7 +59,11 @@ def invented(expert, lock, seeds, config) -> list[dict]:
         episode["reward_terms/a"] = np.zeros(steps, np.float32)
         episode["solved"] = np.ones(steps, bool)
         episode |= {f"final_{name}": episode[name][-1] for name in ("image", "proprio", "state", "integration")}
-        episode |= {"model_fields/site_pos": rng.standard_normal((2, 3)), "seed": np.int64(seed), "terminated": np.bool_(False)}
+        episode |= {
+            "model_fields/site_pos": rng.standard_normal((2, 3)),
+            "seed": np.int64(seed),
+            "terminated": np.bool_(False),
+        }
         episode |= {f"success_{rule}": np.bool_(seed % 3 > 0) for rule in ("final", "held", "once")}
         episodes.append(episode)
     return episodes
@@ -212,7 +216,9 @@ def test_the_same_content_is_the_same_bytes(arrays, tmp_path):
     assert payload(path) == payload(tmp_path / "again.zarr")
 
 
-@pytest.mark.parametrize("file", ["image/c/1/0/0/0", "black/c/2/0/0/0", "model_fields/site_pos/c/0/0/0", "state/zarr.json"])
+@pytest.mark.parametrize(
+    "file", ["image/c/1/0/0/0", "black/c/2/0/0/0", "model_fields/site_pos/c/0/0/0", "state/zarr.json"]
+)
 def test_a_missing_file_is_an_error_that_names_it(arrays, file):
     path, _ = arrays
     (path / file).unlink()
@@ -257,7 +263,9 @@ def test_windows_by_hand():
 def test_the_split_is_by_episode_and_always_the_same():
     demo = demonstrations([3] * 20, 1, 0)
     train, held_out = demo.split()
-    assert (train.tolist(), held_out.tolist()) == tuple(part.tolist() for part in demonstrations([5] * 20, 1, 9).split())
+    assert (train.tolist(), held_out.tolist()) == tuple(
+        part.tolist() for part in demonstrations([5] * 20, 1, 9).split()
+    )
     assert len(held_out) == 2 and sorted([*train, *held_out]) == list(range(20))
     assert not set(demo.steps_of(train)) & set(demo.steps_of(held_out))
     windows = Windows.join([demo], [demo.arrays], [{}], CPU)

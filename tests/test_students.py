@@ -13,10 +13,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from acgd import students
-from acgd.store.stage import Context
-from acgd.students.settings import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
 from acgd.critics.aggregate import AggregateCritic
+from acgd.nn.excitation import excitation
 from acgd.nn.q_ensemble import Critic
+from acgd.store.stage import Context
 from acgd.students import fit_codebook, losses, quantizer
 from acgd.students.acting import Actor
 from acgd.students.codebook import Codebook, Sizes
@@ -27,9 +27,9 @@ from acgd.students.ensembling import ensemble
 from acgd.students.guidance import Guidance, gates, ratio_by_task
 from acgd.students.observer import Normaliser, Observation
 from acgd.students.quantizer import Quantizer
+from acgd.students.settings import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
 from acgd.students.student import Student
 from acgd.students.training import learning_rate
-from acgd.nn.excitation import excitation
 from acgd.tracking import metrics
 
 STATES = (9, 12)
@@ -153,7 +153,9 @@ def test_straight_through_is_one_hot_forward_and_softmax_backward():
 def test_z_q_is_the_sum_of_the_chosen_embeddings():
     book = Quantizer(groups=3, codes=4, width=5)
     codes = torch.tensor([[0, 2, 3]])
-    assert torch.allclose(book.embed(quantizer.onehot(codes, 4))[0], book.codes[0, 0] + book.codes[1, 2] + book.codes[2, 3])
+    assert torch.allclose(
+        book.embed(quantizer.onehot(codes, 4))[0], book.codes[0, 0] + book.codes[1, 2] + book.codes[2, 3]
+    )
 
 
 def test_distances_as_logits_choose_the_nearest_code():
@@ -204,7 +206,9 @@ def test_goal_image_own_and_off(rollouts):
         data = Data.load(rollouts, rollouts, config, states=False, device=torch.device("cpu"))
         t = data.sample(8, generator())
         goal = data.batch(t, generator()).observation.goal
-        assert goal is None if kind == "off" else torch.equal(goal, data.windows.episodes["goal"][data.windows.episode[t]])
+        assert (
+            goal is None if kind == "off" else torch.equal(goal, data.windows.episodes["goal"][data.windows.episode[t]])
+        )
 
 
 def test_labels_are_the_mean_or_the_executed_action(rollouts):
@@ -264,10 +268,15 @@ def test_distill_is_the_critics_own_judgement_of_the_decoded_sample(student, dat
     for row in range(6):
         task = int(batch.observation.task[row])
         own = members[task]
-        q, shown = ([own(states[row, j : j + 1, : STATES[task]], of[row, j : j + 1]).mean().item() for j in range(4)] for of in (chunk, batch.chunk))
+        q, shown = (
+            [own(states[row, j : j + 1, : STATES[task]], of[row, j : j + 1]).mean().item() for j in range(4)]
+            for of in (chunk, batch.chunk)
+        )
         valid = [(x - y) / own.spread.item() for x, y, inside in zip(q, shown, batch.mask[row]) if inside]
         expected.append(-(1.0, 0.5)[task] * sum(valid) / len(valid))
-    assert guidance.loss(states, chunk, batch.chunk, batch.mask, batch.observation.task).tolist() == pytest.approx(expected, rel=1e-4)
+    assert guidance.loss(states, chunk, batch.chunk, batch.mask, batch.observation.task).tolist() == pytest.approx(
+        expected, rel=1e-4
+    )
 
 
 def test_the_student_cannot_read_the_privileged_state(student, data, guidance):
@@ -295,7 +304,9 @@ def test_masked_steps_reach_no_loss(student, data, guidance):
 
     def all_losses(chunk: Tensor, states: Tensor) -> list[Tensor]:
         changed = type(batch)(batch.t, batch.observation, chunk, batch.mask)
-        bc, distill, _ = student_losses(student, changed, codes, guidance, states, 0.0, {"data": generator(), "codes": generator()})
+        bc, distill, _ = student_losses(
+            student, changed, codes, guidance, states, 0.0, {"data": generator(), "codes": generator()}
+        )
         return [bc, distill]
 
     chunk, other = batch.chunk.clone(), states.clone()
@@ -354,7 +365,15 @@ def test_codebook_artifact_and_health(codebook_dir):
 
 def test_student_learns_a_small_dataset(rollouts, critics, tmp_path):
     """Codebook and guided student on two tasks: reconstruction, planning and Q all improve; codes carry the chunk."""
-    training = {"steps": 250, "batch": 64, "validate_every": 50, "log_every": 50, "checkpoint_every": 1000, "learning_rate": 3e-3, "input_noise": 0.0}
+    training = {
+        "steps": 250,
+        "batch": 64,
+        "validate_every": 50,
+        "log_every": 50,
+        "checkpoint_every": 1000,
+        "learning_rate": 3e-3,
+        "input_noise": 0.0,
+    }
     request = synthetic.codebook_request(training=training)
     book = run(fit_codebook.fit, request, {"rollouts": rollouts, "features": rollouts}, tmp_path / "codebook")
     health = json.loads((book / "health.json").read_text())
@@ -366,7 +385,14 @@ def test_student_learns_a_small_dataset(rollouts, critics, tmp_path):
     assert card["guidance"]["myo/reach"]["gate"] == 1 and card["guidance"]["myo/reach"]["counts_as_guidance"]
     assert card["guidance"]["myo/obj-hold"] == {"gate": 0, "gradient_ratio": 0, "counts_as_guidance": False}
     rows = metrics.read(out / "metrics.jsonl")
-    assert {"l_lat", "l_act", "l_distill", "guidance_ratio/myo/reach", "validation_gain", "validation_plan_error"} <= rows[-1].keys()
+    assert {
+        "l_lat",
+        "l_act",
+        "l_distill",
+        "guidance_ratio/myo/reach",
+        "validation_gain",
+        "validation_plan_error",
+    } <= rows[-1].keys()
     assert rows[-1]["l_act"] < rows[0]["l_act"]
 
     data = Data.load(rollouts, rollouts, request.codebook, states=False, device=torch.device("cpu"))
@@ -392,7 +418,15 @@ def test_alpha_is_nothing_to_a_student_without_guidance(rollouts, codebook_dir, 
     inputs = {"rollouts": rollouts, "features": rollouts, "codebook": codebook_dir}
     training = {"steps": 3, "clip_norm": 0.1}  # every gradient is clipped
     request = synthetic.codebook_request()
-    out = [run(distil, synthetic.student_request(request, training, guidance="none", alpha=alpha), inputs, tmp_path / str(alpha)) for alpha in (1.0, 30.0)]
+    out = [
+        run(
+            distil,
+            synthetic.student_request(request, training, guidance="none", alpha=alpha),
+            inputs,
+            tmp_path / str(alpha),
+        )
+        for alpha in (1.0, 30.0)
+    ]
     assert (out[0] / "last.safetensors").read_bytes() == (out[1] / "last.safetensors").read_bytes()
 
 
@@ -424,7 +458,11 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(stage, rollouts, 
 
     ctx = synthetic.context(tmp_path / "cut")
     with pytest.raises(Killed):
-        verb(request, inputs, Context(ctx.out, ctx.state, KillingMetrics(ctx.out / "metrics.jsonl"), ctx.progress, ctx.device))
+        verb(
+            request,
+            inputs,
+            Context(ctx.out, ctx.state, KillingMetrics(ctx.out / "metrics.jsonl"), ctx.progress, ctx.device),
+        )
     assert (ctx.state / "checkpoint.safetensors").exists()
     resumed = run(verb, request, inputs, tmp_path / "cut")
     names = sorted(p.name for p in whole.iterdir())
@@ -435,13 +473,24 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(stage, rollouts, 
 
 def test_seed_changes_initialisation_data_and_codes(rollouts, codebook_dir, tmp_path):
     inputs = {"rollouts": rollouts, "features": rollouts}
-    books = [run(fit_codebook.fit, synthetic.codebook_request(seed), inputs, tmp_path / f"{i}") for i, seed in enumerate((0, 1))]
+    books = [
+        run(fit_codebook.fit, synthetic.codebook_request(seed), inputs, tmp_path / f"{i}")
+        for i, seed in enumerate((0, 1))
+    ]
     same, other = (load_file(b / "codebook.safetensors")["quantizer.codes"] for b in books)
-    assert torch.equal(same, load_file(codebook_dir / "codebook.safetensors")["quantizer.codes"]) and not torch.equal(same, other)
+    assert torch.equal(same, load_file(codebook_dir / "codebook.safetensors")["quantizer.codes"]) and not torch.equal(
+        same, other
+    )
 
 
 def test_last_weights_and_best_weights_are_both_kept(rollouts, codebook_dir, tmp_path):
-    training = {"steps": 4, "validate_every": 2, "learning_rate": 1.0, "clip_norm": 1e9, "warmup": 0}  # diverges, so that best is not last
+    training = {
+        "steps": 4,
+        "validate_every": 2,
+        "learning_rate": 1.0,
+        "clip_norm": 1e9,
+        "warmup": 0,
+    }  # diverges, so that best is not last
     request = synthetic.codebook_request()
     inputs = {"rollouts": rollouts, "features": rollouts, "codebook": codebook_dir}
     out = run(distil, synthetic.student_request(request, training, guidance="none"), inputs, tmp_path)
@@ -449,11 +498,19 @@ def test_last_weights_and_best_weights_are_both_kept(rollouts, codebook_dir, tmp
     step = json.loads((out / "student.json").read_text())["best"]["step"]
     equal = all(torch.equal(best[name], last[name]) for name in best)
     assert equal == (step == 4)
-    assert torch.equal(best["quantizer.codes"], load_file(codebook_dir / "codebook.safetensors")["quantizer.codes"])  # frozen
+    assert torch.equal(
+        best["quantizer.codes"], load_file(codebook_dir / "codebook.safetensors")["quantizer.codes"]
+    )  # frozen
 
 
 @pytest.mark.parametrize(
-    "codebook", [{"logits": "distance"}, {"action_space": "excitation"}, {"goal_image": "off"}, {"training": {"precision": "bfloat16"}}]
+    "codebook",
+    [
+        {"logits": "distance"},
+        {"action_space": "excitation"},
+        {"goal_image": "off"},
+        {"training": {"precision": "bfloat16"}},
+    ],
 )
 def test_options_train_save_and_load(codebook, rollouts, critics, tmp_path):
     training = codebook.get("training", {})
@@ -462,7 +519,9 @@ def test_options_train_save_and_load(codebook, rollouts, critics, tmp_path):
     inputs["codebook"] = run(fit_codebook.fit, request, inputs, tmp_path / "codebook")
     out = run(distil, synthetic.student_request(request, training, guided_steps="first"), inputs, tmp_path / "student")
     goal = None if request.codebook.goal_image == "off" else torch.zeros(3, synthetic.F)
-    chunk = students.load(out).plan(torch.zeros(3, synthetic.F), goal, torch.zeros(3, 3, synthetic.P), torch.tensor([0, 1, 0]))
+    chunk = students.load(out).plan(
+        torch.zeros(3, synthetic.F), goal, torch.zeros(3, 3, synthetic.P), torch.tensor([0, 1, 0])
+    )
     assert chunk.shape == (3, 4, synthetic.A) and chunk.abs().max() < 1 and torch.isfinite(chunk).all()
 
 
@@ -472,7 +531,10 @@ def test_scratch_owns_its_cnn_and_reads_images(critics, tmp_path):
     inputs = {"rollouts": rollouts, "critics": critics}
     inputs["codebook"] = run(fit_codebook.fit, request, inputs, tmp_path / "codebook")
     out = run(distil, synthetic.student_request(request, {"steps": 2, "batch": 4}), inputs, tmp_path / "student")
-    before, after = (load_file(f)["observer.cnn.mix.0.weight"] for f in (inputs["codebook"] / "codebook.safetensors", out / "last.safetensors"))
+    before, after = (
+        load_file(f)["observer.cnn.mix.0.weight"]
+        for f in (inputs["codebook"] / "codebook.safetensors", out / "last.safetensors")
+    )
     assert not torch.equal(before, after)
     actor = Actor(students.load(out), None, ActingConfig())
     images = np.zeros((2, 32, 32, 3), np.uint8)

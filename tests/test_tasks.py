@@ -9,10 +9,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pydantic import ValidationError
 
-from acgd.tasks.settings import TaskConfig
-from acgd.tasks import registry, starts
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.tasks import registry, starts
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.success import SuccessCounter
 
 TASKS = list(registry.TASKS)
@@ -135,7 +135,10 @@ def test_reward_is_the_weighted_sum_of_its_terms(envs, name):
 
 
 def test_reward_weights_change_the_reward_and_unknown_terms_are_named():
-    plain, heavy = registry.make("myo/reach", image=False), registry.make("myo/reach", image=False, reward_weights={"reach": 20})
+    plain, heavy = (
+        registry.make("myo/reach", image=False),
+        registry.make("myo/reach", image=False, reward_weights={"reach": 20}),
+    )
     plain.reset(seed=0), heavy.reset(seed=0)
     a, b = plain.step(idle(plain)), heavy.step(idle(heavy))
     assert b[1] - a[1] == pytest.approx(19 * a[4]["reward_terms"]["reach"], rel=1e-6)

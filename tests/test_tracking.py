@@ -213,7 +213,9 @@ def one_warning(caplog: pytest.LogCaptureFixture) -> str:
     return record.getMessage()
 
 
-def test_a_locked_database_is_a_warning(tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_locked_database_is_a_warning(
+    tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture
+) -> None:
     holder = sqlite3.connect(tmp_path / "mlflow.db")
     holder.execute("CREATE TABLE held (x)")
     holder.execute("BEGIN EXCLUSIVE")
@@ -222,7 +224,9 @@ def test_a_locked_database_is_a_warning(tmp_path: Path, artifact: MakeArtifact, 
     assert "locked" in one_warning(caplog) and "python -m acgd mlflow-sync" in one_warning(caplog)
 
 
-def test_another_mirror_at_work_is_a_warning(tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture) -> None:
+def test_another_mirror_at_work_is_a_warning(
+    tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture
+) -> None:
     from filelock import FileLock
 
     with FileLock(tmp_path / "mlflow.lock"):
@@ -230,7 +234,9 @@ def test_another_mirror_at_work_is_a_warning(tmp_path: Path, artifact: MakeArtif
     assert "another process" in one_warning(caplog)
 
 
-def test_a_damaged_database_is_a_warning(tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_database_is_a_warning(
+    tmp_path: Path, artifact: MakeArtifact, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "mlflow.db").write_bytes(b"not a database at all" * 1000)
     assert sync(tmp_path, "toy-study", [artifact("codebook", "c0")]) is None
     assert f"rm {tmp_path / 'mlflow.db'}" in one_warning(caplog)

@@ -9,12 +9,11 @@ import torch
 from pydantic import ValidationError
 from torch import nn
 
+from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.store import read_group, write_group
 from acgd.store.key import file_digest
 from acgd.store.stage import Context
 from acgd.tasks.settings import TaskConfig
-from acgd.vision.settings import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
-from acgd.rollouts.dataset import Demonstrations
-from acgd.rollouts.store import read_group, write_group
 from acgd.tracking.metrics import Metrics, read
 from acgd.tracking.progress import Progress
 from acgd.vision import augmentation, backbones, r3m
@@ -22,6 +21,7 @@ from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode
 from acgd.vision.frames import Frames
 from acgd.vision.resnet import ResNet
+from acgd.vision.settings import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
 from acgd.vision.train import train
 
 CPU = torch.device("cpu")
@@ -51,7 +51,13 @@ def recorded(folder: Path, seed: int, episodes: int = 12, steps: int = 6) -> Pat
     image = spot(place, [255, 60 * seed, 30])
     state = np.concatenate([rng.standard_normal(place.shape), 0.02 * place], 1).astype(np.float32)
     ends = np.arange(1, episodes + 1) * steps
-    arrays = {"image": image, "state": state, "final_image": image[ends - 1], "episode_ends": ends, "seed": np.arange(episodes)}
+    arrays = {
+        "image": image,
+        "state": state,
+        "final_image": image[ends - 1],
+        "episode_ends": ends,
+        "seed": np.arange(episodes),
+    }
     write_group(folder / "rollouts.zarr", arrays, {"reward_terms": [], "state_layout": LAYOUT})
     return folder
 
@@ -147,7 +153,10 @@ def test_privileged_training_finds_the_spot_in_held_out_episodes(rollouts, tmp_p
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(rollouts, tmp_path):
-    digests = [file_digest(made(tmp_path / str(i), short(seed=seed), rollouts) / "backbone.safetensors") for i, seed in enumerate((3, 3, 4))]
+    digests = [
+        file_digest(made(tmp_path / str(i), short(seed=seed), rollouts) / "backbone.safetensors")
+        for i, seed in enumerate((3, 3, 4))
+    ]
     assert digests[0] == digests[1] != digests[2]
 
 
@@ -180,13 +189,18 @@ def test_held_out_episodes_do_not_reach_the_training(rollouts, tmp_path):
     painted["image"][held_out], painted["state"][held_out] = 255, 9
     arrays = painted | {"episode_ends": demos.episode_ends, "seed": demos.seeds}
     write_group(tmp_path / "painted/rollouts.zarr", arrays, {"reward_terms": [], "state_layout": LAYOUT})
-    weights = [made(tmp_path / f"{i}", short(), [first, rollouts[1]]) / "backbone.safetensors" for i, first in enumerate((rollouts[0], tmp_path / "painted"))]
+    weights = [
+        made(tmp_path / f"{i}", short(), [first, rollouts[1]]) / "backbone.safetensors"
+        for i, first in enumerate((rollouts[0], tmp_path / "painted"))
+    ]
     assert file_digest(weights[0]) == file_digest(weights[1])
 
 
 def test_frames_are_capped_evenly(rollouts):
     frames = Frames.load(rollouts[0], ("target_pos",), 20, CPU)
-    assert len(frames.training) == 20 and len(frames.validation) == 5 and frames.names == ["target_pos.0", "target_pos.1"]
+    assert (
+        len(frames.training) == 20 and len(frames.validation) == 5 and frames.names == ["target_pos.0", "target_pos.1"]
+    )
     assert torch.allclose(frames.targets[frames.training].std(0, correction=0), torch.ones(2), atol=1e-4)
 
 
@@ -269,8 +283,21 @@ def test_a_model_of_another_family_loads_too(tmp_path):
     """Tokens instead of a feature map, and a vision tower beside a language model."""
     from transformers import CLIPConfig, CLIPModel
 
-    tower = {"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "image_size": 32, "patch_size": 8}
-    text = {"hidden_size": 16, "intermediate_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "vocab_size": 10}
+    tower = {
+        "hidden_size": 16,
+        "intermediate_size": 16,
+        "num_hidden_layers": 1,
+        "num_attention_heads": 2,
+        "image_size": 32,
+        "patch_size": 8,
+    }
+    text = {
+        "hidden_size": 16,
+        "intermediate_size": 16,
+        "num_hidden_layers": 1,
+        "num_attention_heads": 2,
+        "vocab_size": 10,
+    }
     model = CLIPModel(CLIPConfig(vision_config=tower, text_config=text, projection_dim=8)).eval()
     model.save_pretrained(tmp_path / "clip")
     loaded = backbones.load(made(tmp_path, BackboneConfig(kind="huggingface", path=tmp_path / "clip", size=32)), CPU)

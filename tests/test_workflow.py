@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from snakemake.cli import main
 
-from acgd.study import names
-from acgd.study.plan import plan
 from acgd.store.store import Store
+from acgd.study import names
 from acgd.study.load import merge
+from acgd.study.plan import plan
 from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -82,7 +82,18 @@ def finished(tmp_path_factory):
 
 def test_a_fresh_study_makes_each_artifact_once(tmp_path):
     assert jobs(tmp_path, {}) == {
-        **dict(expert=2, critic=2, rollouts=2, backbone=1, features=2, codebook=2, student=4, evaluation=4, controls=1, report=1),
+        **dict(
+            expert=2,
+            critic=2,
+            rollouts=2,
+            backbone=1,
+            features=2,
+            codebook=2,
+            student=4,
+            evaluation=4,
+            controls=1,
+            report=1,
+        ),
         **PUBLISHING,
     }
 
@@ -142,6 +153,8 @@ def test_a_study_takes_the_place_of_the_default_and_the_command_line_changes_it(
     """Without --configfile config.yaml counts; with it, it counts for nothing."""
     (tmp_path / "config.yaml").write_text(json.dumps(STUDY))
     assert "results/t/acgd/seed-5/student" in dry_run(tmp_path, "--config", "seeds=[5]")[1]
-    (tmp_path / "study.json").write_text(json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"source": "train"}}))
+    (tmp_path / "study.json").write_text(
+        json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"source": "train"}})
+    )
     said = dry_run(tmp_path, "--configfile", tmp_path / "study.json")[1]
     assert "results/u/base/seed-0/student" in said and "results/t/" not in said and "results/u/acgd/" not in said

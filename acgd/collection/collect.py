@@ -5,14 +5,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from acgd.store.stage import Context, Inputs
+from acgd.collection.episode import FIELDS, FINAL, ONCE, TERMS, StoredEpisode, run_wave, save_wave
 from acgd.collection.settings import RolloutsRequest
 from acgd.experts.policy import Expert
-from acgd.collection.episode import FIELDS, FINAL, ONCE, TERMS, StoredEpisode, run_wave, save_wave
 from acgd.rollouts.store import write_group
-from acgd.tasks import registry
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context, Inputs
+from acgd.tasks import registry
 
 
 class ExpertTooWeakError(RuntimeError):

@@ -9,10 +9,10 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from acgd.store.atomic import replace_file
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
+from acgd.store.atomic import replace_file
 
 Episode = dict[str, np.ndarray]
 """Name -> array: with a time axis (T, ...), or what the episode has once (names in ONCE, `final_*`, `model_fields/*`)."""
@@ -47,14 +47,18 @@ def run_wave(expert: Expert, lock: Lockstep, seeds: Sequence[int], config: Rollo
             terms = {TERMS + name: np.float32(value) for name, value in infos[i]["reward_terms"].items()}
             recordings[i].add(reward=np.float32(reward[i]), solved=np.bool_(infos[i]["solved"]), **terms)
         for i in np.flatnonzero(done):
-            last = {name: rows[i] for name, rows in obs.items()} | {"integration": _physics(lock.envs[i])["integration"]}
+            last = {name: rows[i] for name, rows in obs.items()} | {
+                "integration": _physics(lock.envs[i])["integration"]
+            }
             recordings[i].once |= {FINAL + name: value for name, value in last.items()}
             recordings[i].once |= {f"success_{rule}": np.bool_(met) for rule, met in infos[i]["success"].items()}
             recordings[i].once["terminated"] = np.bool_(lock.terminated[i])
     return [recording.episode() for recording in recordings]
 
 
-def _act(expert: Expert, state: np.ndarray, mean: np.ndarray, config: RolloutsConfig, rng: np.random.Generator) -> np.ndarray:
+def _act(
+    expert: Expert, state: np.ndarray, mean: np.ndarray, config: RolloutsConfig, rng: np.random.Generator
+) -> np.ndarray:
     """The executed action (B, A), clipped."""
     action = mean if config.acting == "mean" else expert.sample(state, rng)
     if config.noise:

@@ -11,16 +11,26 @@ from acgd.tasks.settings import TaskConfig
 class RolloutsConfig(Section):
     """Successful expert episodes of one task."""
 
-    demonstrations: int = Field(50, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step.")
+    demonstrations: int = Field(
+        50, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step."
+    )
     acting: Literal["stochastic", "mean"] = Field(
         "mean", description="The expert samples its own policy, or acts by the mean. The mean is stored beside either."
     )
-    noise: float = Field(0.1, ge=0.0, description="Standard deviation of Gaussian noise added to every action, before clipping to [-1, 1].")
+    noise: float = Field(
+        0.1,
+        ge=0.0,
+        description="Standard deviation of Gaussian noise added to every action, before clipping to [-1, 1].",
+    )
     keep_failures: bool = Field(False, description="Store the failed episodes too, in the group `failures`.")
     seed_offset: int = Field(0, ge=0, description="Skip so many of the seeds set aside for demonstrations.")
-    attempts: int = Field(4, ge=1, description="Give up after attempts x demonstrations episodes, with an error that names the mend.")
+    attempts: int = Field(
+        4, ge=1, description="Give up after attempts x demonstrations episodes, with an error that names the mend."
+    )
     lockstep: int = Field(
-        10, ge=1, description="Episodes run side by side, with one batched inference. Batching can change the last bit of an action."
+        10,
+        ge=1,
+        description="Episodes run side by side, with one batched inference. Batching can change the last bit of an action.",
     )
 
 

@@ -23,7 +23,9 @@ class AggregateCritic(nn.Module):
         shapes = [critic.shape for critic in critics]
         for name in ("action_dim", "members", "width", "depth", "action_space"):
             if len({shape[name] for shape in shapes}) != 1:
-                raise ValueError(f"critics differ in {name}: {[shape[name] for shape in shapes]}; fit them with one critic section")
+                raise ValueError(
+                    f"critics differ in {name}: {[shape[name] for shape in shapes]}; fit them with one critic section"
+                )
         self.pessimism, self.tasks, self.members = pessimism, len(critics), shapes[0]["members"]
         self.depth, self.state_dim = shapes[0]["depth"], max(shape["state_dim"] for shape in shapes)
         self.action_space = shapes[0]["action_space"]
@@ -38,7 +40,10 @@ class AggregateCritic(nn.Module):
         constant("state_std", torch.stack([widened(critic.state_std, 1.0) for critic in critics]))
         constant("scale", torch.stack([critic.action_scale / critic.spread for critic in critics]))
         stacks = [critic.action_networks for critic in critics]
-        first = [stack["weights"][0].split((shape["state_dim"], shape["action_dim"]), 1) for stack, shape in zip(stacks, shapes)]
+        first = [
+            stack["weights"][0].split((shape["state_dim"], shape["action_dim"]), 1)
+            for stack, shape in zip(stacks, shapes)
+        ]
         constant("weight_state", torch.cat([widened(w.mT, 0.0).mT for w, _ in first]))
         constant("weight_action", torch.cat([w for _, w in first]))
         for layer in range(self.depth + 1):
@@ -53,7 +58,9 @@ class AggregateCritic(nn.Module):
     def forward(self, state: Tensor, action: Tensor, reference: Tensor, task: Tensor) -> Tensor:
         """(B, S zero-padded), (B, A) in [-1, 1] twice, (B,) long -> (B,), in spreads of each row's task; 0 where the actions are equal."""
         order, slot, longest = _grouping(task, self.tasks)
-        state, action, reference = (_padded(rows[order], slot, self.tasks, longest) for rows in (state, action, reference))
+        state, action, reference = (
+            _padded(rows[order], slot, self.tasks, longest) for rows in (state, action, reference)
+        )
         with torch.no_grad():
             state = ((state - self.state_mean[:, None]) / self.state_std[:, None]).clamp(-STATE_CLIP, STATE_CLIP)
             of_state = torch.baddbmm(self.bias0, self._per_member(state), self.weight_state)
@@ -83,7 +90,9 @@ def _grouping(task: Tensor, tasks: int) -> tuple[Tensor, Tensor, int]:
     """(B,) task ids -> the order that sorts rows by task, each sorted row's place in (tasks * longest), and `longest`."""
     counts = torch.bincount(task, minlength=tasks)
     if len(counts) > tasks:
-        raise ValueError(f"task id {int(task.max())} for {tasks} critics: give the critics of all tasks of the study, in its order")
+        raise ValueError(
+            f"task id {int(task.max())} for {tasks} critics: give the critics of all tasks of the study, in its order"
+        )
     order = torch.argsort(task, stable=True)
     longest = int(counts.max())
     starts = torch.cumsum(counts, 0) - counts

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from acgd.store.stage import Context, Inputs
-from acgd.experts import zoo
-from acgd.critics.settings import CriticConfig, CriticRequest
 from acgd.critics import quality
 from acgd.critics.fitted_q import FittedQ
 from acgd.critics.gather import CANDIDATES, branches, candidates, rollouts
+from acgd.critics.settings import CriticConfig, CriticRequest
 from acgd.critics.transitions import Transitions, concatenate
+from acgd.experts import zoo
 from acgd.experts.policy import Expert
-from acgd.nn.q_ensemble import WEIGHTS, Critic
 from acgd.experts.train import check, sha256
+from acgd.nn.q_ensemble import WEIGHTS, Critic
 from acgd.simulate.lockstep import Lockstep
-from acgd.tasks.spec import TASKS
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context, Inputs
+from acgd.tasks.spec import TASKS
 from acgd.tracking.progress import Progress
 
 ENVIRONMENTS = 8
@@ -64,7 +64,9 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
 def take(task: str, expert: Path, ctx: Context) -> None:
     """Copy the critic that lies in zoo/. Raises ValueError where it was fitted to another expert than the one in folder `expert`."""
     if check(zoo.folder(task))["sha256"] != sha256(expert / "policy.safetensors"):
-        raise ValueError(f"critic.source is zoo, but the expert of {task} is not that of the zoo: set critic.source to fqe, or expert.source to zoo")
+        raise ValueError(
+            f"critic.source is zoo, but the expert of {task} is not that of the zoo: set critic.source to fqe, or expert.source to zoo"
+        )
     for file in zoo.fitted_critic(task):
         shutil.copyfile(file, ctx.out / file.name)
 
@@ -97,16 +99,31 @@ def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, pro
     branch = config.branches if config.source == "fqe" else config.branches.model_copy(update={"states": 0})
     with progress(config.steps, "critic: rollouts, steps") as bar:
         data, visits, _ = rollouts(
-            lock, expert, config.perturbation, SEEDS.critic_fit, limit=limit, steps=config.steps,
-            visit_rate=min(1.0, VISITS_PER_BRANCH * branch.states / config.steps), seed=config.seed, bar=bar,
+            lock,
+            expert,
+            config.perturbation,
+            SEEDS.critic_fit,
+            limit=limit,
+            steps=config.steps,
+            visit_rate=min(1.0, VISITS_PER_BRANCH * branch.states / config.steps),
+            seed=config.seed,
+            bar=bar,
         )
     if not branch.states:
         return data
     if len(visits) < branch.states:
-        raise ValueError(f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states")
+        raise ValueError(
+            f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states"
+        )
     rng = np.random.default_rng([config.seed, 0])
     chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
-    actions = _some_of(candidates(expert, np.stack([visit.state for visit in chosen]), max(branch.actions, 1 + len(CANDIDATES)), rng)[0], branch.actions, rng)
+    actions = _some_of(
+        candidates(expert, np.stack([visit.state for visit in chosen]), max(branch.actions, 1 + len(CANDIDATES)), rng)[
+            0
+        ],
+        branch.actions,
+        rng,
+    )
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
     return concatenate([data, tried])
@@ -119,7 +136,9 @@ def _some_of(actions: np.ndarray, count: int, rng: np.random.Generator) -> np.nd
     return np.take_along_axis(actions, picked[:, :, None], 1)
 
 
-def _gathered(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, kept: Path, progress: Progress) -> Transitions:
+def _gathered(
+    lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, kept: Path, progress: Progress
+) -> Transitions:
     """What `gather` returns, simulated once even if the stage is killed later."""
     if not kept.exists():
         draft = kept.with_suffix(".tmp")

@@ -10,11 +10,11 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from acgd.store import checkpoint
 from acgd.critics.settings import CriticConfig
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
 from acgd.nn.q_ensemble import Critic, measured
+from acgd.store import checkpoint
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3
@@ -44,7 +44,9 @@ class FittedQ:
         self.config, self.device, self.step = config, device, 0
         self.generator = torch.Generator().manual_seed(config.seed)
         self.targets = targets(data.reward, data.terminated, data.on_policy, data.ends, gamma, config.horizon)
-        self.targets = Targets(*(getattr(self.targets, name).to(device) for name in ("reward_sum", "discount", "bootstrap")))
+        self.targets = Targets(
+            *(getattr(self.targets, name).to(device) for name in ("reward_sum", "discount", "bootstrap"))
+        )
         self.state, self.action, self.next_state, self.next_action = (
             torch.from_numpy(array).to(device) for array in (data.state, data.action, data.next_state, data.next_action)
         )
@@ -53,10 +55,14 @@ class FittedQ:
         """(G, K) rows of the first actions tried in each branched state."""
         self.distance = self._distances() if config.within_state_unit == "distance" and len(self.groups) else None
         dims = data.state.shape[1], data.action.shape[1]
-        self.critic = Critic(*dims, config.members, config.width, config.depth, config.action_space, config.dueling, self.generator)
+        self.critic = Critic(
+            *dims, config.members, config.width, config.depth, config.action_space, config.dueling, self.generator
+        )
         self.critic.to(device)
         self._normalise(data, gamma)
-        self.optimiser = torch.optim.AdamW(self.critic.parameters(), config.lr, weight_decay=config.weight_decay, fused=True)
+        self.optimiser = torch.optim.AdamW(
+            self.critic.parameters(), config.lr, weight_decay=config.weight_decay, fused=True
+        )
         self.y = self.z = torch.empty(0)
 
     def _normalise(self, data: Transitions, gamma: float) -> None:
@@ -106,8 +112,12 @@ class FittedQ:
         if not self.config.state_noise:
             return state
         single, actions = self.config.batch, self.config.branches.actions
-        noise = torch.randn(single + (len(state) - single) // actions, state.shape[1], generator=self.generator).to(self.device)
-        return state + self.config.state_noise * torch.cat([noise[:single], noise[single:].repeat_interleave(actions, 0)])
+        noise = torch.randn(single + (len(state) - single) // actions, state.shape[1], generator=self.generator).to(
+            self.device
+        )
+        return state + self.config.state_noise * torch.cat(
+            [noise[:single], noise[single:].repeat_interleave(actions, 0)]
+        )
 
     @torch.no_grad()
     def refresh(self) -> dict[str, float]:
@@ -145,7 +155,9 @@ class FittedQ:
 
     def _distances(self) -> Tensor:
         """(G, P) between the actions of each of the P pairs of a branched state, as the critic reads them"""
-        found = self._differences(measured(self.action[self.groups], self.config.action_space).movedim(2, 0)).norm(dim=0)
+        found = self._differences(measured(self.action[self.groups], self.config.action_space).movedim(2, 0)).norm(
+            dim=0
+        )
         return found + NEAREST * found.median()
 
     def _differences(self, values: Tensor) -> Tensor:
@@ -160,7 +172,11 @@ class FittedQ:
     def save(self, path: Path) -> None:
         """Everything that the next updates depend on, in one file, replaced atomically."""
         tensors = {f"critic.{name}": value for name, value in self.critic.state_dict().items()}
-        tensors |= checkpoint.moments_of(self.optimiser, "optimiser.") | {"y": self.y, "z": self.z, "generator": self.generator.get_state()}
+        tensors |= checkpoint.moments_of(self.optimiser, "optimiser.") | {
+            "y": self.y,
+            "z": self.z,
+            "generator": self.generator.get_state(),
+        }
         data = save({name: value.contiguous() for name, value in tensors.items()}, {"step": json.dumps(self.step)})
         draft = path.with_suffix(".tmp")
         with open(draft, "wb") as file:
@@ -192,5 +208,7 @@ def branched_rows(branch: np.ndarray, actions: int) -> Tensor:
     """(N,) numbers of branched states by row -> (G, K) rows; every branched state has K = `actions` of them."""
     rows = np.flatnonzero(branch != ROLLOUT)
     if len(rows) % actions:
-        raise ValueError(f"{len(rows)} branches do not make groups of {actions}: branch every state with the same number of actions")
+        raise ValueError(
+            f"{len(rows)} branches do not make groups of {actions}: branch every state with the same number of actions"
+        )
     return torch.from_numpy(rows.reshape(-1, actions))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import gymnasium
 import numpy as np
 
-from acgd.critics.settings import PerturbationConfig
 from acgd.critics.perturbations import Kind, kinds, offsets
+from acgd.critics.settings import PerturbationConfig
 from acgd.critics.transitions import ROLLOUT, Recorder, Transitions
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
@@ -60,7 +60,9 @@ def rollouts(
         first, before = recorder.open(count), recorder.steps
         given += [next(kind) for _ in range(count)]
         rngs = [np.random.default_rng([seed, episode]) for episode in range(first, first + count)]
-        noise = np.stack([offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(given[first:], rngs)])
+        noise = np.stack(
+            [offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(given[first:], rngs)]
+        )
         visited = np.stack([(rng.random(limit) < visit_rate) | (np.arange(limit) == 0) for rng in rngs])
         limits = np.array([limit + beyond * (name == "clean") for name, _ in given[first:]])
         state = lock.reset(seeds.take(count, offset=first))["state"]
@@ -70,7 +72,11 @@ def rollouts(
             if not len(active):
                 break
             if t < limit:
-                visits += [Visit(first + i, given[first + i], state[i], lock.envs[i].snapshot()) for i in active if visited[i, t]]
+                visits += [
+                    Visit(first + i, given[first + i], state[i], lock.envs[i].snapshot())
+                    for i in active
+                    if visited[i, t]
+                ]
             action = np.clip(expert.mean(state) + noise[:, t], -1, 1)
             obs, reward, _, _ = lock.step(action)
             for i in active:
@@ -109,7 +115,16 @@ def branches(
             action = actions[tuple(np.transpose(wave))] if t == 0 else expert.mean(np.stack(states))
             for i in list(active):
                 obs, reward, terminated, _, _ = envs[i].step(action[i])
-                recorder.add(at + i, states[i], action[i], reward, obs["state"], terminated, t > 0, wave[i][0] if t == 0 else ROLLOUT)
+                recorder.add(
+                    at + i,
+                    states[i],
+                    action[i],
+                    reward,
+                    obs["state"],
+                    terminated,
+                    t > 0,
+                    wave[i][0] if t == 0 else ROLLOUT,
+                )
                 states[i] = obs["state"]
                 if terminated:
                     active.remove(i)

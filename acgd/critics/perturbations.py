@@ -17,12 +17,18 @@ def kinds(config: PerturbationConfig) -> Iterator[Kind]:
     while True:
         due = {name: share * (sum(given.values()) + 1) - given[name] for name, share in shares.items()}
         name = max(due, key=due.__getitem__)
-        scale = {"clean": 0.0, "gaussian": config.scales[given["gaussian"] % len(config.scales)], "bursts": config.burst_scale}[name]
+        scale = {
+            "clean": 0.0,
+            "gaussian": config.scales[given["gaussian"] % len(config.scales)],
+            "bursts": config.burst_scale,
+        }[name]
         given[name] += 1
         yield name, scale
 
 
-def offsets(kind: Kind, steps: int, action_dim: int, config: PerturbationConfig, rng: np.random.Generator) -> np.ndarray:
+def offsets(
+    kind: Kind, steps: int, action_dim: int, config: PerturbationConfig, rng: np.random.Generator
+) -> np.ndarray:
     """What is added to the expert's mean over an episode, (steps, A) float32; rows of zeros follow the expert.
 
     Noise that is fresh at every step is filtered by the muscles' activation dynamics; an offset held for some

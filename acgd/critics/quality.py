@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from scipy import stats
 
-from acgd.critics.settings import CriticConfig
-from acgd.nn.q_ensemble import Critic
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.perturbations import Kind
 from acgd.critics.ranks import rank_correlations
+from acgd.critics.settings import CriticConfig
 from acgd.critics.transitions import Transitions
 from acgd.experts.policy import Expert
+from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
 from acgd.tracking.progress import Progress
@@ -27,7 +27,9 @@ VISIT_RATE = 0.25
 CONFIDENCE = 0.95
 
 
-def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: CriticConfig, table: Path, progress: Progress) -> dict:
+def measure(
+    critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: CriticConfig, table: Path, progress: Progress
+) -> dict:
     """The content of quality.json; the pairs behind it go to `table` (within_state.csv).
 
     Returns are of `tail` simulated steps, past the time limit if need be. What is cut off weighs gamma^tail and is
@@ -37,12 +39,22 @@ def measure(critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: 
     noise = np.random.default_rng([config.seed, 1])
     with progress(quality.states * (limit + quality.tail), "quality: held-out rollouts, steps at most") as bar:
         data, visits, kinds = rollouts(
-            lock, expert, config.perturbation, SEEDS.critic_quality, limit=limit, beyond=quality.tail,
-            episodes=quality.states, visit_rate=VISIT_RATE, seed=config.seed, bar=bar,
+            lock,
+            expert,
+            config.perturbation,
+            SEEDS.critic_quality,
+            limit=limit,
+            beyond=quality.tail,
+            episodes=quality.states,
+            visit_rate=VISIT_RATE,
+            seed=config.seed,
+            bar=bar,
         )
     chosen = one_per_episode(visits, noise)
     actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, noise)
-    with progress(actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most") as bar:
+    with progress(
+        actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most"
+    ) as bar:
         tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
     first = tried.starts
     returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
@@ -94,7 +106,12 @@ def interval(values: np.ndarray) -> dict[str, float | int]:
     if len(values) < 2:
         raise ValueError("fewer than two states tell their candidate actions apart: raise critic.quality.states")
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
-    return {"mean": float(values.mean()), "low": float(values.mean()) - half, "high": float(values.mean()) + half, "states": len(values)}
+    return {
+        "mean": float(values.mean()),
+        "low": float(values.mean()) - half,
+        "high": float(values.mean()) + half,
+        "states": len(values),
+    }
 
 
 def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
@@ -108,7 +125,11 @@ def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: in
     """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit."""
     returns = discounted(data, gamma, tail)
     rows = np.concatenate(
-        [np.arange(start, min(end, start + limit)) for start, end, (name, _) in zip(data.starts, data.ends, kinds) if name == "clean"]
+        [
+            np.arange(start, min(end, start + limit))
+            for start, end, (name, _) in zip(data.starts, data.ends, kinds)
+            if name == "clean"
+        ]
     )
     q = _values(critic, data.state[rows], data.action[rows]).mean(0)
     return float(stats.spearmanr(q, returns[rows]).statistic)
@@ -119,7 +140,10 @@ def _preferences(sources: list[str], q: np.ndarray, returns: np.ndarray) -> dict
     found = {}
     for source in dict.fromkeys(sources[1:]):
         columns = [k for k, name in enumerate(sources) if name == source]
-        found[source] = {"critic": float((q[:, :1] > q[:, columns]).mean()), "simulator": float((returns[:, :1] > returns[:, columns]).mean())}
+        found[source] = {
+            "critic": float((q[:, :1] > q[:, columns]).mean()),
+            "simulator": float((returns[:, :1] > returns[:, columns]).mean()),
+        }
     return found
 
 

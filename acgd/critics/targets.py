@@ -23,7 +23,9 @@ class Targets:
         return self.reward_sum + self.discount * next_value[:, self.bootstrap]
 
 
-def targets(reward: np.ndarray, terminated: np.ndarray, on_policy: np.ndarray, ends: np.ndarray, gamma: float, horizon: int) -> Targets:
+def targets(
+    reward: np.ndarray, terminated: np.ndarray, on_policy: np.ndarray, ends: np.ndarray, gamma: float, horizon: int
+) -> Targets:
     """Rows (N,) in episodes that end (exclusive) at `ends`; `on_policy` rows executed the expert's own mean action.
 
     The expert and the simulator are deterministic, so after a_t every step that follows the expert is exactly what
@@ -40,7 +42,9 @@ def targets(reward: np.ndarray, terminated: np.ndarray, on_policy: np.ndarray, e
     bootstrap = rows + steps - 1
     discount = gamma ** steps.astype(np.float64) * ~terminated[bootstrap]
     return Targets(
-        torch.from_numpy(reward_sum.astype(np.float32)), torch.from_numpy(discount.astype(np.float32)), torch.from_numpy(bootstrap)
+        torch.from_numpy(reward_sum.astype(np.float32)),
+        torch.from_numpy(discount.astype(np.float32)),
+        torch.from_numpy(bootstrap),
     )
 
 

@@ -55,7 +55,11 @@ class Transitions:
 def concatenate(parts: list[Transitions]) -> Transitions:
     """The rows of the parts in their order. Only one part may hold branches."""
     offsets = np.cumsum([0] + [len(part) for part in parts[:-1]])
-    rows = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Transitions) if f.name != "ends"}
+    rows = {
+        f.name: np.concatenate([getattr(part, f.name) for part in parts])
+        for f in fields(Transitions)
+        if f.name != "ends"
+    }
     return Transitions(**rows, ends=np.concatenate([part.ends + offset for part, offset in zip(parts, offsets)]))
 
 
@@ -71,14 +75,18 @@ class Recorder:
         self._episodes += [[] for _ in range(count)]
         return len(self._episodes) - count
 
-    def add(self, episode: int, state, action, reward, next_state, terminated, on_policy, branch: int = ROLLOUT) -> None:
+    def add(
+        self, episode: int, state, action, reward, next_state, terminated, on_policy, branch: int = ROLLOUT
+    ) -> None:
         """One step of one episode."""
         self._episodes[episode].append((state, action, reward, next_state, terminated, on_policy, branch))
         self.steps += 1
 
     def transitions(self, expert: Expert) -> Transitions:
         """Every step so far."""
-        state, action, reward, next_state, terminated, on_policy, branch = zip(*(row for episode in self._episodes for row in episode))
+        state, action, reward, next_state, terminated, on_policy, branch = zip(
+            *(row for episode in self._episodes for row in episode)
+        )
         arrived = np.stack(next_state)
         asked = [expert.mean(arrived[at : at + INFERENCE_ROWS]) for at in range(0, len(arrived), INFERENCE_ROWS)]
         return Transitions(

@@ -6,9 +6,9 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.episodes import Episode
 from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 
 SIZE = 252
 """Pixels a side; rendered anew at this size, since the policy's own images are small."""
@@ -35,7 +35,9 @@ def film(path: Path, env: gymnasium.Env, episode: Episode, actions: np.ndarray) 
         if step % every == 0 or step == len(actions):
             frames.append(env.render().copy())
     if info["success"] != {"final": episode.final, "held": episode.held, "once": episode.once}:
-        raise RuntimeError(f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat")
+        raise RuntimeError(
+            f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat"
+        )
     rate = 1 / (every * env.control_step)
     write_mp4(path, np.stack(frames + [frames[-1]] * round(LAST_FRAME_S * rate)), rate)
 

@@ -6,14 +6,14 @@ same seeds as a student's, so that they pair.
 
 import numpy as np
 
-from acgd.store.stage import Context, Inputs
-from acgd.evaluation.settings import ControlsRequest
 from acgd.evaluation.episodes import Episode, Label, Policy, expert_policy, run, seeds_of, write
 from acgd.evaluation.goals import demonstration_for
+from acgd.evaluation.settings import ControlsRequest
 from acgd.evaluation.summary import write_summary
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.simulate.lockstep import Lockstep
+from acgd.store.stage import Context, Inputs
 
 CONTROLS = ("replay", "replay-nearest", "expert", "expert-nominal")
 """A demonstration's actions open-loop; those of the demonstration with the nearest start; the expert's mean action, from
@@ -24,7 +24,10 @@ def controls(config: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
     """Runs every control on every task: episodes.jsonl and summary.json, in the format of an evaluation."""
     settings, tasks, size = config.controls, config.tasks, config.controls.lockstep
     ctx.metrics.rewind(-1)
-    starts = [[task.model_copy(update={"start": "nominal"}) if name == "expert-nominal" else task for name in CONTROLS] for task in tasks]
+    starts = [
+        [task.model_copy(update={"start": "nominal"}) if name == "expert-nominal" else task for name in CONTROLS]
+        for task in tasks
+    ]
     seeds = [[seeds_of(start, settings.split, settings.episodes) for start in row] for row in starts]
     episodes: list[Episode] = []
     with ctx.progress(sum(len(s) for row in seeds for s in row), "controls") as bar:
@@ -33,9 +36,13 @@ def controls(config: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
             expert = Expert.load(inputs["experts"][place])
             for start in dict.fromkeys(starts[place]):
                 lock = Lockstep(start, size, image=False)
-                for name, chosen in ((n, s) for n, at, s in zip(CONTROLS, starts[place], seeds[place], strict=True) if at == start):
+                for name, chosen in (
+                    (n, s) for n, at, s in zip(CONTROLS, starts[place], seeds[place], strict=True) if at == start
+                ):
                     label = Label(name, start.name, "none", "none", start.start)
-                    episodes += run(lock, chosen, _policies(name, demonstrations, expert, size), label, ctx.state, bar)[0]
+                    episodes += run(lock, chosen, _policies(name, demonstrations, expert, size), label, ctx.state, bar)[
+                        0
+                    ]
                 del lock  # before the next one is made: an environment is some 50 MB
     write(ctx.out / "episodes.jsonl", episodes)
     rows = write_summary(ctx.out / "summary.json", episodes, split=settings.split)
@@ -45,7 +52,9 @@ def controls(config: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
 def _policies(name: str, demonstrations: Demonstrations, expert: Expert, size: int):
     """Batch of seeds -> the policy of that control."""
     if name == "replay":
-        return lambda batch: replay(demonstrations, [demonstration_for(seed, len(demonstrations.seeds)) for seed in batch])
+        return lambda batch: replay(
+            demonstrations, [demonstration_for(seed, len(demonstrations.seeds)) for seed in batch]
+        )
     if name == "replay-nearest":
         return lambda batch: NearestReplay(demonstrations)
     return lambda batch: expert_policy(expert, size)

@@ -15,12 +15,12 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from acgd.store.atomic import replace_file
-from acgd.tasks.settings import TaskConfig
 from acgd.experts.policy import Expert
-from acgd.tasks import registry
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.atomic import replace_file
+from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tracking.progress import Bar
 
 Policy = Callable[[dict[str, np.ndarray], int], np.ndarray]
@@ -75,7 +75,13 @@ def roll(lock: Lockstep, seeds: list[int], policy: Policy, label: Label) -> tupl
         obs, gained, _, infos = lock.step(chosen[-1])
         reward += gained
     episodes = [
-        Episode(label, seed, **{rule: bool(met) for rule, met in infos[i]["success"].items()}, steps=int(steps[i]), reward=float(reward[i]))
+        Episode(
+            label,
+            seed,
+            **{rule: bool(met) for rule, met in infos[i]["success"].items()},
+            steps=int(steps[i]),
+            reward=float(reward[i]),
+        )
         for i, seed in enumerate(seeds)
     ]
     return episodes, np.stack(chosen)
@@ -109,7 +115,9 @@ def _keep(file: Path, episodes: list[Episode], actions: np.ndarray) -> None:
 
 def _kept(file: Path) -> tuple[list[Episode], np.ndarray]:
     with safe_open(file, "numpy") as batch:
-        return [Episode.from_json(line) for line in batch.metadata()["episodes"].splitlines()], batch.get_tensor("actions")
+        return [Episode.from_json(line) for line in batch.metadata()["episodes"].splitlines()], batch.get_tensor(
+            "actions"
+        )
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.store.stage import Context, Inputs
-from acgd.evaluation.settings import EvaluationRequest
-from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.clips import film, filming
 from acgd.evaluation.episodes import Episode, Label, Policy, padded, run, seeds_of, write
 from acgd.evaluation.goals import oracle_goals, training_goals
+from acgd.evaluation.settings import EvaluationRequest
 from acgd.evaluation.summary import RULES, write_summary
 from acgd.experts.policy import Expert
+from acgd.simulate.lockstep import Lockstep
+from acgd.store.stage import Context, Inputs
 from acgd.students import load as load_student
 from acgd.students.acting import Actor
-from acgd.simulate.lockstep import Lockstep
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 from acgd.tracking.progress import Bar
 from acgd.vision.backbones import load as load_backbone
@@ -47,13 +47,21 @@ def evaluate(config: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     with ctx.progress(sum(len(r.seeds) for r in rounds), "evaluating") as bar:
         for start in dict.fromkeys(r.task for r in rounds):
             here = [r for r in rounds if r.task == start]
-            for this, (ended, actions) in zip(here, _act(actor, here, inputs, settings.lockstep, ctx.state, bar), strict=True):
+            for this, (ended, actions) in zip(
+                here, _act(actor, here, inputs, settings.lockstep, ctx.state, bar), strict=True
+            ):
                 episodes[this] = ended
                 if settings.clips and this in headline:
                     film_both(ctx.out / "clips", start, ended, actions)
     everything = [episode for this in rounds for episode in episodes[this]]
     write(ctx.out / "episodes.jsonl", everything)
-    rows = write_summary(ctx.out / "summary.json", everything, student_seed=config.seed, split=settings.split, acting=settings.acting.model_dump())
+    rows = write_summary(
+        ctx.out / "summary.json",
+        everything,
+        student_seed=config.seed,
+        split=settings.split,
+        acting=settings.acting.model_dump(),
+    )
     ctx.metrics.log(0, **{f"{row['task']}/{row['rule']}": row["rate"] for row in rows[: len(headline) * len(RULES)]})
 
 
@@ -63,13 +71,17 @@ def plan(config: EvaluationRequest, *, uses_goal: bool) -> list[Round]:
     for condition in settings.conditions:
         for place, task in enumerate(config.tasks):
             start = task if condition.start is None else task.model_copy(update={"start": condition.start})
-            label = Label("none", task.name, condition.goal if uses_goal else "none", condition.image_features, start.start)
+            label = Label(
+                "none", task.name, condition.goal if uses_goal else "none", condition.image_features, start.start
+            )
             if label not in rounds:
                 rounds[label] = Round(place, start, label, tuple(seeds_of(start, settings.split, settings.episodes)))
     return list(rounds.values())
 
 
-def _act(actor: Actor, rounds: list[Round], inputs: Inputs, size: int, state: Path, bar: Bar) -> list[tuple[list[Episode], dict[int, np.ndarray]]]:
+def _act(
+    actor: Actor, rounds: list[Round], inputs: Inputs, size: int, state: Path, bar: Bar
+) -> list[tuple[list[Episode], dict[int, np.ndarray]]]:
     """Episodes and actions of rounds from one start. Its environments, some 0.1 GB each, live no longer than this call."""
     goals = [goal_images(this, inputs, size) for this in rounds]
     lock = Lockstep(rounds[0].task, size, image=True)
@@ -78,13 +90,18 @@ def _act(actor: Actor, rounds: list[Round], inputs: Inputs, size: int, state: Pa
         mine = None if images is None else images[[this.seeds.index(seed) for seed in batch]]
         return StudentPolicy(actor, this.place, batch, mine, size, shuffled=this.label.image_features == "shuffled")
 
-    return [run(lock, list(this.seeds), partial(policy, this, images), this.label, state, bar) for this, images in zip(rounds, goals, strict=True)]
+    return [
+        run(lock, list(this.seeds), partial(policy, this, images), this.label, state, bar)
+        for this, images in zip(rounds, goals, strict=True)
+    ]
 
 
 class StudentPolicy:
     """The student on one batch of episodes. It passes on `image` and `proprio`, and nothing else."""
 
-    def __init__(self, actor: Actor, task_id: int, seeds: list[int], goals: np.ndarray | None, size: int, *, shuffled: bool) -> None:
+    def __init__(
+        self, actor: Actor, task_id: int, seeds: list[int], goals: np.ndarray | None, size: int, *, shuffled: bool
+    ) -> None:
         """goals: (m, H, W, 3) or None. size: rows of every computation. shuffled: each episode sees the next one's image."""
         self.actor, self.size, self.shuffled = actor, size, shuffled
         rows = padded(np.asarray(seeds, np.int64), size)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.evaluation.episodes import Label, expert_policy, roll
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.simulate.lockstep import Lockstep
+from acgd.tasks.settings import TaskConfig
 
 
 def demonstration_for(seed: int, demonstrations: int) -> int:

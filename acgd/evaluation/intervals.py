@@ -37,12 +37,16 @@ class Difference:
 def wilson(successes: int, episodes: int, confidence: float = 0.95) -> Interval:
     """Wilson's score interval of a success rate; inside [0, 1] and honest at 0 and at all successes."""
     if not 0 <= successes <= episodes or episodes < 1:
-        raise ValueError(f"{successes} successes of {episodes} episodes: need 0 <= successes <= episodes and at least one episode")
+        raise ValueError(
+            f"{successes} successes of {episodes} episodes: need 0 <= successes <= episodes and at least one episode"
+        )
     z = float(norm.ppf(0.5 + confidence / 2))
     rate, shrink = successes / episodes, 1 + z * z / episodes
     centre = (rate + z * z / (2 * episodes)) / shrink
     half = z / shrink * np.sqrt(rate * (1 - rate) / episodes + z * z / (4 * episodes * episodes))
-    return Interval(rate, 0.0 if successes == 0 else float(centre - half), 1.0 if successes == episodes else float(centre + half))
+    return Interval(
+        rate, 0.0 if successes == 0 else float(centre - half), 1.0 if successes == episodes else float(centre + half)
+    )
 
 
 def over_seeds(rates: Sequence[float], confidence: float = 0.95) -> Interval:
@@ -66,7 +70,11 @@ def mcnemar(wins: int, losses: int) -> float:
 
 
 def paired_difference(
-    first: Sequence[np.ndarray], second: Sequence[np.ndarray], seed: int = 0, resamples: int = 5000, confidence: float = 0.95
+    first: Sequence[np.ndarray],
+    second: Sequence[np.ndarray],
+    seed: int = 0,
+    resamples: int = 5000,
+    confidence: float = 0.95,
 ) -> Difference:
     """Mean over tasks of the difference in success, with a hierarchical bootstrap interval.
 
@@ -78,7 +86,9 @@ def paired_difference(
     differences = []
     for a, b in zip(first, second, strict=True):
         if np.shape(a) != np.shape(b) or np.ndim(a) != 2 or np.size(a) == 0:
-            raise ValueError(f"outcomes of shapes {np.shape(a)} and {np.shape(b)}: need (student seeds, episodes), the same in both variants")
+            raise ValueError(
+                f"outcomes of shapes {np.shape(a)} and {np.shape(b)}: need (student seeds, episodes), the same in both variants"
+            )
         differences.append(np.asarray(a, dtype=np.int64) - np.asarray(b, dtype=np.int64))
     if len({d.shape[0] for d in differences}) != 1:
         raise ValueError("need at least one task, and the same student seeds in all of them")
@@ -91,7 +101,9 @@ def paired_difference(
     low, high = np.quantile(draws / len(differences), [tail, 1 - tail])
     wins, losses = (int(sum((d == sign).sum() for d in differences)) for sign in (1, -1))
     mean = float(np.mean([d.mean() for d in differences]))
-    return Difference(mean, float(low), float(high), wins, losses, sum(d.size for d in differences), mcnemar(wins, losses))
+    return Difference(
+        mean, float(low), float(high), wins, losses, sum(d.size for d in differences), mcnemar(wins, losses)
+    )
 
 
 def _weights(n: int, resamples: int, rng: np.random.Generator) -> np.ndarray:

@@ -33,10 +33,15 @@ class EvaluationConfig(Section):
 
     episodes: int = Field(25, ge=1, le=1000, description="Episodes per task and condition.")
     split: Literal["evaluation", "validation"] = Field(
-        "evaluation", description="Which held-out seeds. Choose settings on validation; evaluation is for the numbers that are reported."
+        "evaluation",
+        description="Which held-out seeds. Choose settings on validation; evaluation is for the numbers that are reported.",
     )
-    conditions: tuple[Condition, ...] = Field((Condition(),), min_length=1, description="The first one is the headline.")
-    weights: Literal["best", "last"] = Field("best", description="The student's weights of least validation loss, or of its last step.")
+    conditions: tuple[Condition, ...] = Field(
+        (Condition(),), min_length=1, description="The first one is the headline."
+    )
+    weights: Literal["best", "last"] = Field(
+        "best", description="The student's weights of least validation loss, or of its last step."
+    )
     acting: ActingConfig = Field(ActingConfig(), description="How chunks become actions.")
     lockstep: int = Field(
         9,
@@ -45,11 +50,16 @@ class EvaluationConfig(Section):
         description="Environments stepped together, some 0.1 GB each, and the rows of every computation of the student: always that many, so that an "
         "episode does not depend on how many others there are. Another number can change the last bit of an action.",
     )
-    clips: bool = Field(True, description="Film the first success and the first failure of each task in the headline condition.")
+    clips: bool = Field(
+        True, description="Film the first success and the first failure of each task in the headline condition."
+    )
 
     @model_validator(mode="after")
     def _shuffling_needs_another(self) -> "EvaluationConfig":
-        if any(c.image_features == "shuffled" for c in self.conditions) and 1 in (self.lockstep, self.episodes % self.lockstep):
+        if any(c.image_features == "shuffled" for c in self.conditions) and 1 in (
+            self.lockstep,
+            self.episodes % self.lockstep,
+        ):
             raise ValueError(
                 f"image_features: shuffled needs at least two episodes in each lockstep batch; {self.episodes} episodes in batches of "
                 f"{self.lockstep} leave one alone. Change evaluation.episodes or evaluation.lockstep."
@@ -68,8 +78,15 @@ class EvaluationRequest(Section):
 class ControlsConfig(Section):
     """What a policy that sees little, or all, does from the same starts."""
 
-    episodes: int = Field(25, ge=1, le=1000, description="Episodes per task and control; the same as evaluation.episodes, so that they can be paired.")
-    split: Literal["evaluation", "validation"] = Field("evaluation", description="Which held-out seeds; the same as evaluation.split.")
+    episodes: int = Field(
+        25,
+        ge=1,
+        le=1000,
+        description="Episodes per task and control; the same as evaluation.episodes, so that they can be paired.",
+    )
+    split: Literal["evaluation", "validation"] = Field(
+        "evaluation", description="Which held-out seeds; the same as evaluation.split."
+    )
     lockstep: int = Field(9, ge=1, le=256, description="Environments stepped together, some 0.1 GB each.")
 
 

@@ -21,7 +21,10 @@ def success_rows(episodes: Sequence[Episode]) -> list[dict]:
         groups.setdefault(episode.label, []).append(episode)
     rows = []
     for label, group in groups.items():
-        means = {"mean_return": float(np.mean([e.reward for e in group])), "mean_steps": float(np.mean([e.steps for e in group]))}
+        means = {
+            "mean_return": float(np.mean([e.reward for e in group])),
+            "mean_steps": float(np.mean([e.steps for e in group])),
+        }
         for rule in RULES:
             successes = sum(getattr(e, rule) for e in group)
             rate = wilson(successes, len(group))

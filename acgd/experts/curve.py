@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.experts.settings import ExpertRequest
 from acgd.experts.policy import Expert
-from acgd.nn.q_ensemble import Critic
+from acgd.experts.settings import ExpertRequest
 from acgd.experts.success import ENVIRONMENTS, episodes
+from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
 

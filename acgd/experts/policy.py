@@ -24,7 +24,9 @@ class Expert(nn.Module):
     depends on the state, and brings its actions into the box by tanh.
     """
 
-    def __init__(self, state_dim: int, action_dim: int, width: int, meta: dict | None = None, *, squashed: bool = False) -> None:
+    def __init__(
+        self, state_dim: int, action_dim: int, width: int, meta: dict | None = None, *, squashed: bool = False
+    ) -> None:
         super().__init__()
         self.squashed = squashed
         self.register_buffer("state_mean", torch.zeros(state_dim))

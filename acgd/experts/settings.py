@@ -39,35 +39,51 @@ class SACConfig(Section):
     n_step: int = Field(default=3, ge=1, description="Rewards summed before bootstrapping.")
     width: int = Field(default=256, ge=8, description="Units of the two hidden layers of policy and critics.")
     action_space: Literal["raw", "excitation"] = Field(
-        default="raw", description="Critics read actions as they are, or as the muscle excitation that MyoSuite makes of them."
+        default="raw",
+        description="Critics read actions as they are, or as the muscle excitation that MyoSuite makes of them.",
     )
     learning_rate: float = Field(default=3e-4, gt=0, description="Adam's step size at the start.")
     learning_rate_end: float = Field(default=3e-5, gt=0, description="Adam's step size at the end; linear between.")
     gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount.")
-    tau: float = Field(default=0.005, gt=0, le=1, description="Share of the critics that enters their targets at an update.")
+    tau: float = Field(
+        default=0.005, gt=0, le=1, description="Share of the critics that enters their targets at an update."
+    )
     temperature: float = Field(default=0.01, gt=0, description="First weight of the entropy; tuned from there.")
     target_entropy: float = Field(default=-0.5, description="Entropy to keep, per action dimension.")
     hold: float = Field(
-        default=2.0, gt=1, description="Exponent of the Zipf law of how many steps exploration noise is held; higher is shorter."
+        default=2.0,
+        gt=1,
+        description="Exponent of the Zipf law of how many steps exploration noise is held; higher is shorter.",
     )
-    precision: Literal["float32", "bfloat16"] = Field(default="bfloat16", description="Of the matrix products in an update; bfloat16 is float32 where the hardware lacks it.")
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="bfloat16",
+        description="Of the matrix products in an update; bfloat16 is float32 where the hardware lacks it.",
+    )
 
 
 class DaggerConfig(Section):
     """Imitation of the muscle controller, which knows the equations of motion, by dataset aggregation."""
 
     steps: int = Field(default=200_000, ge=1, description="Labelled environment steps in all.")
-    rounds: int = Field(default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each.")
+    rounds: int = Field(
+        default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each."
+    )
     envs: int = Field(default=8, ge=1, description="Environments in one process.")
     epochs: int = Field(default=6, ge=1, description="Passes over all rounds so far after each round.")
     batch: int = Field(default=256, ge=2, description="Minibatch size.")
     width: int = Field(default=256, ge=8, description="Units of the two hidden layers of the policy.")
-    learning_rate: float = Field(default=1e-3, gt=0, description="Adam's step size at the start; it falls linearly over the rounds.")
-    exploration: float = Field(default=0.1, gt=0, description="Standard deviation of the noise on the policy's actions while it acts.")
+    learning_rate: float = Field(
+        default=1e-3, gt=0, description="Adam's step size at the start; it falls linearly over the rounds."
+    )
+    exploration: float = Field(
+        default=0.1, gt=0, description="Standard deviation of the noise on the policy's actions while it acts."
+    )
     rate: float = Field(default=8.0, gt=0, description="Share of the error that the teacher would undo in a second.")
     damping: float = Field(default=1.5, ge=0, description="Weight of the joints' velocity beside the error's.")
     effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
-    gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount of the returns that a critic of this expert stands for.")
+    gamma: float = Field(
+        default=0.97, gt=0, lt=1, description="Discount of the returns that a critic of this expert stands for."
+    )
 
 
 class ExpertSettings(Section):
@@ -86,7 +102,10 @@ class ExpertSettings(Section):
         default_factory=dict, description="Weights of the task's reward terms that differ from the suite's."
     )
     advanced_starts: float = Field(
-        default=0.0, ge=0, le=1, description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or a key's angle; pose and key-turn tasks only."
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or a key's angle; pose and key-turn tasks only.",
     )
     warm_start: str = Field(
         default="",
@@ -105,7 +124,9 @@ class ExpertSettings(Section):
     @model_validator(mode="after")
     def _warm_start_fits_the_algorithm(self) -> "ExpertSettings":
         if self.warm_start and self.algorithm == "dagger":
-            raise ValueError("expert.warm_start works with expert.algorithm ppo and sac: leave it empty, or choose one of these")
+            raise ValueError(
+                "expert.warm_start works with expert.algorithm ppo and sac: leave it empty, or choose one of these"
+            )
         if (self.algorithm, self.warm_start) == ("ppo", "dagger") and self.ppo.width != self.dagger.width:
             raise ValueError(
                 f"expert.warm_start: PPO goes on with the pupil's network: expert.ppo.width {self.ppo.width} "

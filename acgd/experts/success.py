@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
+from acgd.tasks.settings import TaskConfig
 
 ENVIRONMENTS = 8
 """Episodes side by side; results do not depend on it beyond the last bit of batched inference."""

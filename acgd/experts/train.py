@@ -8,16 +8,16 @@ from pathlib import Path
 
 from scipy.stats import binomtest
 
-from acgd.store.stage import Context, Inputs
-from acgd.store.versions import SIMULATOR
+from acgd.experts.policy import Expert
 from acgd.experts.settings import ExpertRequest
+from acgd.experts.success import episodes
 from acgd.experts.zoo import CRITIC, CRITIC_FOLDER, FILES
 from acgd.experts.zoo import ROOT as ZOO
-from acgd.experts.policy import Expert
 from acgd.nn.q_ensemble import META, WEIGHTS
-from acgd.experts.success import episodes
-from acgd.tasks.spec import TASKS
 from acgd.simulate.seeds import SEEDS
+from acgd.store.stage import Context, Inputs
+from acgd.store.versions import SIMULATOR
+from acgd.tasks.spec import TASKS
 
 ALGORITHMS = {"ppo": "PPO (stable-baselines3)", "sac": "SAC", "dagger": "DAgger"}
 

@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 
 from acgd.experts.settings import ExpertRequest
-from acgd.tasks import registry
 from acgd.simulate.seeds import SEEDS
+from acgd.tasks import registry
 from acgd.tasks.spec import TASKS
 from acgd.tasks.starts import ADVANCED_KINDS
 

@@ -26,7 +26,9 @@ def has_expert(task: str) -> bool:
 
 def files(task: str) -> tuple[Path, ...]:
     """The files of a task's expert, and of its own critics where it has them."""
-    return tuple(folder(task) / name for name in FILES) + tuple(path for name in CRITIC if (path := folder(task) / name).is_file())
+    return tuple(folder(task) / name for name in FILES) + tuple(
+        path for name in CRITIC if (path := folder(task) / name).is_file()
+    )
 
 
 CRITIC_FOLDER = "critic"

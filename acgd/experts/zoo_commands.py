@@ -68,17 +68,19 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from acgd.tasks.settings import TaskConfig
     from acgd.experts.policy import Expert
     from acgd.experts.success import episodes
     from acgd.experts.train import check, other_versions, wilson
     from acgd.simulate.seeds import SEEDS
+    from acgd.tasks.settings import TaskConfig
 
     spec, folder = _find(args.task)
     for note in other_versions(check(folder)):
         print(f"warning: {note}", file=sys.stderr)
     count = 1 if args.start == "nominal" else args.episodes
-    rows = episodes(Expert.load(folder), TaskConfig(name=spec.name, start=args.start), SEEDS.expert_card.take(count, args.seed))
+    rows = episodes(
+        Expert.load(folder), TaskConfig(name=spec.name, start=args.start), SEEDS.expert_card.take(count, args.seed)
+    )
     result = {"task": spec.name, "start": args.start, "episodes": count, "first_seed": rows[0]["seed"],
               "success": {rule: wilson([row[rule] for row in rows]) for rule in ("final", "held", "once")}}  # fmt: skip
     if args.json:

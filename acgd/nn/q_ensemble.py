@@ -48,18 +48,35 @@ class Critic(nn.Module):
     spread: Tensor
     advantage_unit: Tensor
 
-    def __init__(self, state_dim: int, action_dim: int, members: int = 2, width: int = 128, depth: int = 2,
-                 action_space: ActionSpace = "raw", dueling: bool = False, generator: torch.Generator | None = None) -> None:
+    def __init__(
+        self,
+        state_dim: int,
+        action_dim: int,
+        members: int = 2,
+        width: int = 128,
+        depth: int = 2,
+        action_space: ActionSpace = "raw",
+        dueling: bool = False,
+        generator: torch.Generator | None = None,
+    ) -> None:
         super().__init__()
-        self.shape = {"state_dim": state_dim, "action_dim": action_dim, "members": members, "width": width, "depth": depth,
-                      "action_space": action_space, "dueling": dueling}
+        self.shape = {
+            "state_dim": state_dim,
+            "action_dim": action_dim,
+            "members": members,
+            "width": width,
+            "depth": depth,
+            "action_space": action_space,
+            "dueling": dueling,
+        }
         sizes, networks = [state_dim + action_dim] + [width] * depth + [1], (1 + dueling) * members
         self.weights = nn.ParameterList(
             nn.Parameter(torch.randn(networks, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
         )
         # Without a bias before it, LayerNorm would make the first layer blind to the size of its input.
         self.biases = nn.ParameterList(
-            nn.Parameter((torch.rand(networks, 1, m, generator=generator) * 2 - 1) / n**0.5) for n, m in zip(sizes, sizes[1:])
+            nn.Parameter((torch.rand(networks, 1, m, generator=generator) * 2 - 1) / n**0.5)
+            for n, m in zip(sizes, sizes[1:])
         )
         self.gains = nn.ParameterList(nn.Parameter(torch.ones(networks, 1, width)) for _ in range(depth))
         self.offsets = nn.ParameterList(nn.Parameter(torch.zeros(networks, 1, width)) for _ in range(depth))
@@ -67,8 +84,13 @@ class Critic(nn.Module):
             self.register_buffer("advantage_unit", torch.ones(()))
             with torch.no_grad():
                 self.weights[0][:members, state_dim:] = 0  # and so they stay: V is given zeros for the action
-        for name, value in {"state_mean": torch.zeros(state_dim), "state_std": torch.ones(state_dim),
-                            "shift": torch.zeros(()), "scale": torch.ones(()), "spread": torch.ones(())}.items():
+        for name, value in {
+            "state_mean": torch.zeros(state_dim),
+            "state_std": torch.ones(state_dim),
+            "shift": torch.zeros(()),
+            "scale": torch.ones(()),
+            "spread": torch.ones(()),
+        }.items():
             self.register_buffer(name, value)
         self.meta: dict = {}
 
@@ -119,7 +141,10 @@ class Critic(nn.Module):
         tensors = {name: value.clone() for name, value in self.state_dict().items()}
         if self.shape["dueling"]:
             value, advantage = tensors.pop(FIRST).chunk(2)
-            tensors |= {f"{FIRST}.value": value[:, : self.shape["state_dim"]].clone(), f"{FIRST}.advantage": advantage.clone()}
+            tensors |= {
+                f"{FIRST}.value": value[:, : self.shape["state_dim"]].clone(),
+                f"{FIRST}.advantage": advantage.clone(),
+            }
         save_file(tensors, directory / WEIGHTS)
         (directory / META).write_text(json.dumps({"shape": self.shape, **self.meta}, indent=1, sort_keys=True) + "\n")
 
@@ -135,4 +160,3 @@ class Critic(nn.Module):
         critic.load_state_dict(tensors)
         critic.meta = meta
         return critic.eval()
-

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from acgd.reports.settings import ReportRequest
 from acgd.critics.ranks import rank_correlations
 from acgd.reports.artifact import Artifact
 from acgd.reports.ledger import places
+from acgd.reports.settings import ReportRequest
 
 CRITICS = [
     "task", "variants", "within_state_mean", "within_state_low", "within_state_high", "states", "candidates",
@@ -43,7 +43,18 @@ def experts(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFra
         card = artifact.json("card.json")
         success = card.get("success", {}).get(request.report.success, {})
         figures = [success.get(name) for name in ("successes", "rate", "low", "high")]
-        rows.append((task, variants, card.get("algorithm"), card.get("steps"), card.get("start"), card.get("episodes"), *figures, artifact.key))
+        rows.append(
+            (
+                task,
+                variants,
+                card.get("algorithm"),
+                card.get("steps"),
+                card.get("start"),
+                card.get("episodes"),
+                *figures,
+                artifact.key,
+            )
+        )
     columns = ["task", "variants", "algorithm", "steps", "start", "episodes", "successes", "rate", "low", "high", "key"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -65,11 +76,23 @@ def critics(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFra
     found = used(request, "critic", artifacts)
     for (_, variants, artifact), label in zip(found, labels(found), strict=True):
         quality = artifact.json("quality.json")
-        within, near, gain = (quality.get(name, {}) for name in ("within_state", "within_state_near", "gain_of_best_candidate"))
+        within, near, gain = (
+            quality.get(name, {}) for name in ("within_state", "within_state_near", "gain_of_best_candidate")
+        )
         ranks = [within.get(name) for name in ("mean", "low", "high", "states", "candidates")]
         others = [quality.get(name) for name in ("rank_correlation_monte_carlo", "bellman_error")]
         gains = [gain.get("critic"), gain.get("simulator"), quality.get("spread"), quality.get("simulator_steps")]
-        rows.append((label, variants, *ranks, *(near.get(name) for name in ("mean", "low", "high")), *others, *gains, artifact.key))
+        rows.append(
+            (
+                label,
+                variants,
+                *ranks,
+                *(near.get(name) for name in ("mean", "low", "high")),
+                *others,
+                *gains,
+                artifact.key,
+            )
+        )
     return pd.DataFrame(rows, columns=CRITICS)
 
 
@@ -84,7 +107,9 @@ def candidates(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[st
         frame = artifact.csv("within_state.csv")
         if len(frame):
             of_state = frame.groupby("state")[["q", "return"]]
-            standard = (frame[["q", "return"]] - of_state.transform("mean")) / of_state.transform("std").where(lambda std: std > 0)
+            standard = (frame[["q", "return"]] - of_state.transform("mean")) / of_state.transform("std").where(
+                lambda std: std > 0
+            )
             tables[label] = frame.assign(q=standard["q"], **{"return": standard["return"]})
     return tables
 
@@ -103,9 +128,18 @@ def backbones(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataF
         variants = ", ".join(dict.fromkeys(entry.variant for entry in request.entries if entry.backbone == place))
         told = artifact.json("backbone.json")
         if told.get("kind") == "privileged":
-            found = [(task, target, figures) for task, targets in told["tasks"].items() for target, figures in targets.items()]
-            rows += [(variants, task, target, figures["r2"], figures["rmse"], artifact.key) for task, target, figures in found]
-    return pd.DataFrame(rows, columns=["variants", "task", "target", "r2", "rmse", "key"]).astype({"r2": float, "rmse": float})
+            found = [
+                (task, target, figures)
+                for task, targets in told["tasks"].items()
+                for target, figures in targets.items()
+            ]
+            rows += [
+                (variants, task, target, figures["r2"], figures["rmse"], artifact.key)
+                for task, target, figures in found
+            ]
+    return pd.DataFrame(rows, columns=["variants", "task", "target", "r2", "rmse", "key"]).astype(
+        {"r2": float, "rmse": float}
+    )
 
 
 def gates(request: ReportRequest, students: Sequence[Artifact]) -> pd.DataFrame:
@@ -113,8 +147,12 @@ def gates(request: ReportRequest, students: Sequence[Artifact]) -> pd.DataFrame:
     rows = []
     for entry in request.entries:
         for task, told in students[entry.student].json("student.json").get("guidance", {}).items():
-            rows.append((entry.variant, entry.seed, task, told["gate"], told["gradient_ratio"], not told["counts_as_guidance"]))
-    return pd.DataFrame(rows, columns=["variant", "seed", "task", "gate", "gradient_ratio", "counts_as_none"]).astype({"counts_as_none": bool})
+            rows.append(
+                (entry.variant, entry.seed, task, told["gate"], told["gradient_ratio"], not told["counts_as_guidance"])
+            )
+    return pd.DataFrame(rows, columns=["variant", "seed", "task", "gate", "gradient_ratio", "counts_as_none"]).astype(
+        {"counts_as_none": bool}
+    )
 
 
 def codebooks(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataFrame:
@@ -130,6 +168,28 @@ def codebooks(request: ReportRequest, artifacts: Sequence[Artifact]) -> pd.DataF
         perplexity = [min(health["perplexity"]), float(np.mean(health["perplexity"])), max(health["perplexity"])]
         error, shuffled = health["reconstruction"], health["shuffled"]
         errors = [error["training"], error["validation"], shuffled["validation"], health["shuffled_ratio"]]
-        rows.append((variants, seeds, len(health["perplexity"]), health["codes"], *perplexity, health["bits"], *errors, artifact.key))
-    columns = ["variants", "seeds", "groups", "codes", "perplexity_min", "perplexity", "perplexity_max", "bits", "error_training", "error_validation"]
+        rows.append(
+            (
+                variants,
+                seeds,
+                len(health["perplexity"]),
+                health["codes"],
+                *perplexity,
+                health["bits"],
+                *errors,
+                artifact.key,
+            )
+        )
+    columns = [
+        "variants",
+        "seeds",
+        "groups",
+        "codes",
+        "perplexity_min",
+        "perplexity",
+        "perplexity_max",
+        "bits",
+        "error_training",
+        "error_validation",
+    ]
     return pd.DataFrame(rows, columns=[*columns, "error_shuffled", "shuffled_ratio", "key"])

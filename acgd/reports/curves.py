@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports.artifact import Artifact
+from acgd.reports.settings import ReportRequest
 
 STUDENT = {
     "validation_loss": "validation L_BC",
@@ -51,7 +51,9 @@ def logged(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str
     return {column: title for column, title in columns.items() if column in found}
 
 
-def backbone(request: ReportRequest, artifacts: Sequence[Artifact]) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
+def backbone(
+    request: ReportRequest, artifacts: Sequence[Artifact]
+) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
     """Runs of trained backbones and the columns to show: the loss, and per task the mean R^2 over its targets."""
     runs = by_variant(request, "backbone", artifacts)
     for frames in runs.values():

@@ -48,7 +48,10 @@ def _compare(episodes: pd.DataFrame, first: str, second: str, rule: str, tasks: 
     """(task, figures...) of first minus second, for each task that both did and, if it is more than one, for all of them."""
     by_task = {}
     for task in tasks:
-        a, b = (_grid(episodes[(episodes["variant"] == name) & (episodes["task"] == task)], rule) for name in (first, second))
+        a, b = (
+            _grid(episodes[(episodes["variant"] == name) & (episodes["task"] == task)], rule)
+            for name in (first, second)
+        )
         seeds, starts = a.index.intersection(b.index), a.columns.intersection(b.columns)
         if len(seeds) and len(starts):
             by_task[task] = a.loc[seeds, starts], b.loc[seeds, starts]
@@ -72,4 +75,14 @@ def _grid(episodes: pd.DataFrame, rule: str) -> pd.DataFrame:
 
 def _figures(difference: Difference, by_seed: np.ndarray) -> tuple:
     d = difference
-    return d.mean, d.low, d.high, d.wins, d.losses, d.episodes, d.p_value, len(by_seed), " ".join(f"{value:+.4f}" for value in by_seed)
+    return (
+        d.mean,
+        d.low,
+        d.high,
+        d.wins,
+        d.losses,
+        d.episodes,
+        d.p_value,
+        len(by_seed),
+        " ".join(f"{value:+.4f}" for value in by_seed),
+    )

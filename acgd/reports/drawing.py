@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports import chain, curves, figures, success
 from acgd.reports.artifact import Artifact
 from acgd.reports.evidence import Artifacts, Evidence
+from acgd.reports.settings import ReportRequest
 from acgd.reports.style import applied, svg
 
 GATE = 0.2
@@ -29,7 +29,10 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
         drawn["success"] = figures.success(success.pooled(evidence.success, rule), request.tasks, variants)
     if len(evidence.paired):
         drawn["paired"] = figures.differences(evidence.paired, rule, variants, evidence.baseline)
-    for name, stage, columns in (("curves", "student", curves.STUDENT), ("codebook-curves", "codebook", curves.CODEBOOK)):
+    for name, stage, columns in (
+        ("curves", "student", curves.STUDENT),
+        ("codebook-curves", "codebook", curves.CODEBOOK),
+    ):
         runs = curves.by_variant(request, stage, artifacts[stage])
         if curves.logged(runs, columns):
             drawn[name] = figures.curves(runs, curves.logged(runs, columns), variants)
@@ -55,5 +58,7 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
 
 def _expert_curves(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[str, pd.DataFrame]:
     found = chain.used(request, "expert", artifacts)
-    frames = {label: artifact.csv("curve.csv") for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)}
+    frames = {
+        label: artifact.csv("curve.csv") for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)
+    }
     return {label: frame for label, frame in frames.items() if len(frame) and request.report.success in frame}

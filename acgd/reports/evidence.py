@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports import chain, curves, differences, ledger, success, verdict
 from acgd.reports.artifact import Artifact
+from acgd.reports.settings import ReportRequest
 
 Artifacts = Mapping[str, Sequence[Artifact]]
 """Stage name -> its artifacts, in the order that the request's entries count in."""
@@ -54,7 +54,20 @@ class Evidence:
 
     def csv(self) -> dict[str, str]:
         """File name -> content; tables without a row are left out, but for success.csv."""
-        names = ("episodes", "success", "paired", "images", "experts", "demonstrations", "critics", "guidance", "backbone", "codebook", "stages", "curves")
+        names = (
+            "episodes",
+            "success",
+            "paired",
+            "images",
+            "experts",
+            "demonstrations",
+            "critics",
+            "guidance",
+            "backbone",
+            "codebook",
+            "stages",
+            "curves",
+        )
         frames = {name: getattr(self, name) for name in names}
         return {
             f"{name}.csv": frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -17,7 +17,11 @@ WIDTH = 11.2
 
 def success(pooled: pd.DataFrame, tasks: Sequence[str], variants: Sequence[str]) -> Figure:
     """A panel per task: rate and Wilson interval of each variant and control, and each student seed as a small dot."""
-    names = [name for kind in ("student", "condition", "control") for name in dict.fromkeys(pooled.loc[pooled["kind"] == kind, "variant"])]
+    names = [
+        name
+        for kind in ("student", "condition", "control")
+        for name in dict.fromkeys(pooled.loc[pooled["kind"] == kind, "variant"])
+    ]
     colour = colours(variants)
     rows, columns = _grid(len(tasks), 4)
     figure, axes = panels(rows, columns, WIDTH, rows * (0.75 + 0.24 * len(names)), sharey=True, sharex=True)
@@ -28,7 +32,14 @@ def success(pooled: pd.DataFrame, tasks: Sequence[str], variants: Sequence[str])
             axis.plot([row.low, row.high], [y, y], color=shade, linewidth=2, solid_capstyle="butt", alpha=0.55)
             axis.plot(row.rate, y, "o", color=shade, markersize=6)
             if len(row.by_seed) > 1:
-                axis.plot(row.by_seed, np.full(len(row.by_seed), y - 0.28), "|", color=shade, markersize=5, markeredgewidth=1.2)
+                axis.plot(
+                    row.by_seed,
+                    np.full(len(row.by_seed), y - 0.28),
+                    "|",
+                    color=shade,
+                    markersize=5,
+                    markeredgewidth=1.2,
+                )
         axis.set_title(task)
         axis.set_xlim(-0.03, 1.03)
         axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "", "0.5", "", "1"])
@@ -95,7 +106,9 @@ def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
     return figure
 
 
-def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float) -> Figure:
+def within_state(
+    ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float
+) -> Figure:
     """Above, how well Q ranks actions within one state, over states; below, Q against the simulated return.
 
     candidates: per task columns q and return, standardised within each state.
@@ -127,7 +140,12 @@ def within_state(ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candida
     return figure
 
 
-def ratios(curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]], tasks: Sequence[str], variants: Sequence[str], floor: float) -> Figure:
+def ratios(
+    curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]],
+    tasks: Sequence[str],
+    variants: Sequence[str],
+    floor: float,
+) -> Figure:
     """Gradient norm of L_distill over that of L_BC through training, (variant, task) -> one frame (step, ratio) per student seed."""
     rows, across = _grid(len(tasks), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3, sharey=True)
@@ -168,4 +186,6 @@ def _pair(axes: list[list[Axes]], items: Sequence) -> list[tuple]:
 def _legend(figure: Figure, colour: Mapping[str, str]) -> None:
     if len(colour) > 1:
         handles = [figure.axes[0].plot([], [], color=shade, linewidth=2)[0] for shade in colour.values()]
-        figure.legend(handles, list(colour), loc="outside upper left", ncols=len(colour), labelcolor=INK, handlelength=1.2)
+        figure.legend(
+            handles, list(colour), loc="outside upper left", ncols=len(colour), labelcolor=INK, handlelength=1.2
+        )

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acgd.reports.settings import ReportEntry, ReportRequest
 from acgd.reports.artifact import Artifact
+from acgd.reports.settings import ReportEntry, ReportRequest
 
 STAGES = ("expert", "critic", "rollouts", "backbone", "features", "codebook", "student", "evaluation", "controls")
 PER_TASK = ("expert", "critic", "rollouts", "features")
@@ -21,15 +21,30 @@ def cost(request: ReportRequest, artifacts: Mapping[str, Sequence[Artifact]]) ->
             variants = list(dict.fromkeys(entry.variant for entry in users))
             run = artifact.run
             measured = [run.get("wall_s"), run.get("cpu_s"), run.get("peak_rss_bytes")]
-            rows.append((stage, _name(request, users, stage, place), ", ".join(variants), artifact.key, *measured, _bytes(artifact)))
+            rows.append(
+                (
+                    stage,
+                    _name(request, users, stage, place),
+                    ", ".join(variants),
+                    artifact.key,
+                    *measured,
+                    _bytes(artifact),
+                )
+            )
     frame = pd.DataFrame(rows, columns=COLUMNS)
     return frame.astype({"wall_s": float, "cpu_s": float, "peak_rss_bytes": float})
 
 
 def per_stage(cost: pd.DataFrame) -> pd.DataFrame:
     """Sums over a stage's artifacts, in the order of the chain; memory is the greatest."""
-    named = dict(artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"), cpu_s=("cpu_s", "sum"))
-    return cost.groupby("stage", sort=False).agg(**named, peak_rss_bytes=("peak_rss_bytes", "max"), bytes=("bytes", "sum")).reset_index()
+    named = dict(
+        artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"), cpu_s=("cpu_s", "sum")
+    )
+    return (
+        cost.groupby("stage", sort=False)
+        .agg(**named, peak_rss_bytes=("peak_rss_bytes", "max"), bytes=("bytes", "sum"))
+        .reset_index()
+    )
 
 
 def places(entry: ReportEntry, stage: str) -> tuple[int, ...]:

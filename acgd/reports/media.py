@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import zarr
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports.artifact import Artifact
+from acgd.reports.settings import ReportRequest
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,9 @@ def films(request: ReportRequest, evaluations: Sequence[Artifact], rollouts: Seq
     """Per task a success and a failure: those of the first student, in the study's order, that has one."""
     found = []
     for task_id, task in enumerate(request.tasks):
-        clips = {kind: _clip(request, evaluations, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")}
+        clips = {
+            kind: _clip(request, evaluations, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")
+        }
         shown = next((rollouts[entry.rollouts[task_id]] for entry in request.entries if entry.rollouts), None)
         found.append(Film(task, shown and picture(shown), clips["success"], clips["failure"]))
     return found

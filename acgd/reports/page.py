@@ -7,10 +7,10 @@ from typing import Any
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports import ledger, numbers, success, tables, verdict
 from acgd.reports.evidence import Artifacts, Evidence
 from acgd.reports.media import Film
+from acgd.reports.settings import ReportRequest
 from acgd.reports.style import colours, inline
 
 HERE = Path(__file__).parent
@@ -20,9 +20,13 @@ CODEBOOK = {
 }  # fmt: skip
 
 
-def render(request: ReportRequest, evidence: Evidence, svgs: Mapping[str, str], films: Sequence[Film], artifacts: Artifacts) -> str:
+def render(
+    request: ReportRequest, evidence: Evidence, svgs: Mapping[str, str], films: Sequence[Film], artifacts: Artifacts
+) -> str:
     """The html text. It refers to nothing outside itself."""
-    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    environment = Environment(
+        loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
     return environment.get_template("report.html.j2").render(
         request=request,
         css=(HERE / "report.css").read_text(encoding="utf-8"),
@@ -61,7 +65,15 @@ def _cards(request: ReportRequest, evidence: Evidence) -> list[dict[str, str]]:
     cards = []
     for row in students.itertuples():
         interval = numbers.bracket(row.low, row.high).strip()
-        cards.append({"name": row.variant, "value": f"{row.rate:.2f}", "interval": interval, "seeds": row.seeds, "colour": shades[row.variant]})
+        cards.append(
+            {
+                "name": row.variant,
+                "value": f"{row.rate:.2f}",
+                "interval": interval,
+                "seeds": row.seeds,
+                "colour": shades[row.variant],
+            }
+        )
     return cards
 
 
@@ -98,7 +110,9 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
     machines = dict.fromkeys(text for artifact in everything if (text := _machine(artifact.run)))
     revisions = dict.fromkeys(artifact.run["revision"] for artifact in everything if artifact.run.get("revision"))
     return {
-        "configuration": yaml.safe_dump(request.configuration, sort_keys=False, allow_unicode=True, width=120) if request.configuration else "",
+        "configuration": yaml.safe_dump(request.configuration, sort_keys=False, allow_unicode=True, width=120)
+        if request.configuration
+        else "",
         "versions": {package: ", ".join(found) for package, found in sorted(versions.items())},
         "machines": list(machines),
         "revisions": list(revisions),
@@ -108,4 +122,6 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
 def _machine(run: dict[str, Any]) -> str:
     cores = f"{run['cores']} cores" if run.get("cores") else ""
     device, half = run.get("device", ""), "" if run.get("bfloat16", True) else "float32 for want of bfloat16"
-    return ", ".join(text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device, half) if text)
+    return ", ".join(
+        text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device, half) if text
+    )

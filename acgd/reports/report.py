@@ -1,13 +1,13 @@
 """The stage `report`: what a study found, on one page, and the tables and figures behind it."""
 
-from acgd.store.stage import Context, Inputs
-from acgd.reports.settings import ReportRequest
 from acgd.reports import media, success
 from acgd.reports.artifact import Artifact
 from acgd.reports.drawing import draw
 from acgd.reports.evidence import Evidence
 from acgd.reports.ledger import STAGES
 from acgd.reports.page import render
+from acgd.reports.settings import ReportRequest
+from acgd.store.stage import Context, Inputs
 
 
 def report(config: ReportRequest, inputs: Inputs, ctx: Context) -> None:

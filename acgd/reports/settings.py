@@ -11,13 +11,17 @@ class ReportConfig(Section):
     """How the report tells the story of a study."""
 
     success: Literal["final", "held", "once"] = Field(
-        "final", description="Success rule of the headline, the paired differences and the controls. success.csv holds all three."
+        "final",
+        description="Success rule of the headline, the paired differences and the controls. success.csv holds all three.",
     )
     baseline: str | None = Field(
         None,
         description="Variant that the others are compared with, episode by episode. Without one: the first variant that learns without guidance.",
     )
-    clips: bool = Field(True, description="Embed the clips of a success and a failure per task. Without them the page is some megabytes smaller.")
+    clips: bool = Field(
+        True,
+        description="Embed the clips of a success and a failure per task. Without them the page is some megabytes smaller.",
+    )
 
 
 class ReportEntry(Section):
@@ -30,9 +34,13 @@ class ReportEntry(Section):
     codebook: int | None = Field(None, description="Place in inputs['codebook']; none for a student without one.")
     backbone: int | None = Field(None, description="Place in inputs['backbone'].")
     expert: tuple[int, ...] = Field((), description="Places in inputs['expert'], one per task of the study.")
-    critic: tuple[int, ...] = Field((), description="Places in inputs['critic'], one per task; empty for a student without guidance.")
+    critic: tuple[int, ...] = Field(
+        (), description="Places in inputs['critic'], one per task; empty for a student without guidance."
+    )
     rollouts: tuple[int, ...] = Field((), description="Places in inputs['rollouts'], one per task.")
-    features: tuple[int, ...] = Field((), description="Places in inputs['features'], one per task; empty where the student learns its own.")
+    features: tuple[int, ...] = Field(
+        (), description="Places in inputs['features'], one per task; empty where the student learns its own."
+    )
     controls: int | None = Field(None, description="Place in inputs['controls']; none for a study without controls.")
 
 
@@ -45,6 +53,10 @@ class ReportRequest(Section):
 
     study: str = Field(description="Name of the study.")
     tasks: tuple[str, ...] = Field(description="Task names in the study's order, which is the order of the task ids.")
-    entries: tuple[ReportEntry, ...] = Field(description="Variants in the study's order, and within one its student seeds.")
+    entries: tuple[ReportEntry, ...] = Field(
+        description="Variants in the study's order, and within one its student seeds."
+    )
     report: ReportConfig = ReportConfig()
-    configuration: dict[str, JsonValue] = Field(default_factory=dict, description="The study's validated configuration, printed on the page.")
+    configuration: dict[str, JsonValue] = Field(
+        default_factory=dict, description="The study's validated configuration, printed on the page."
+    )

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from acgd.reports.settings import ReportEntry, ReportRequest
 from acgd.evaluation.intervals import over_seeds, wilson
 from acgd.reports.artifact import Artifact
+from acgd.reports.settings import ReportEntry, ReportRequest
 
 RULES = ("final", "held", "once")
 CONDITION = ["goal", "image_features", "start"]
@@ -41,7 +41,9 @@ def _of_student(entry: ReportEntry, evaluation: Artifact) -> pd.DataFrame:
     rows = pd.DataFrame(evaluation.json_lines("episodes.jsonl"))
     if rows.empty:
         return pd.DataFrame(columns=EPISODE)
-    rows = rows.drop_duplicates(["task", "episode_seed", *CONDITION])  # without a goal image, conditions that differ in it are one
+    rows = rows.drop_duplicates(
+        ["task", "episode_seed", *CONDITION]
+    )  # without a goal image, conditions that differ in it are one
     rows = rows.assign(parent=entry.variant, seed=entry.seed, episode=rows["episode_seed"])
     headline = rows.loc[0, CONDITION]
     named = [_name(entry.variant, headline, condition) for _, condition in rows[CONDITION].iterrows()]
@@ -64,7 +66,9 @@ def _name(variant: str, headline: pd.Series, condition: pd.Series) -> tuple[str,
     if differs == {"image_features"} and condition["image_features"] == "shuffled":
         return f"control: {variant}, shuffled images", "control"
     words = {"goal": "{} goal", "image_features": "{} image features", "start": "{} start"}
-    return ", ".join([variant, *(words[field].format(condition[field]) for field in CONDITION if field in differs)]), "condition"
+    return ", ".join(
+        [variant, *(words[field].format(condition[field]) for field in CONDITION if field in differs)]
+    ), "condition"
 
 
 def table(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -85,11 +89,17 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
     Wilson's interval takes the episodes as independent; `by_seed` holds each student's own rate, since they are not.
     """
     rows = []
-    for (variant, kind, task), group in success[success["rule"] == rule].groupby(["variant", "kind", "task"], sort=False):
+    for (variant, kind, task), group in success[success["rule"] == rule].groupby(
+        ["variant", "kind", "task"], sort=False
+    ):
         successes, n = int(group["successes"].sum()), int(group["episodes"].sum())
         interval = wilson(successes, n)
-        rows.append((variant, kind, task, n, successes, interval.mean, interval.low, interval.high, group["rate"].tolist()))
-    return pd.DataFrame(rows, columns=["variant", "kind", "task", "episodes", "successes", "rate", "low", "high", "by_seed"])
+        rows.append(
+            (variant, kind, task, n, successes, interval.mean, interval.low, interval.high, group["rate"].tolist())
+        )
+    return pd.DataFrame(
+        rows, columns=["variant", "kind", "task", "episodes", "successes", "rate", "low", "high", "by_seed"]
+    )
 
 
 def over_tasks(success: pd.DataFrame, rule: str) -> pd.DataFrame:
@@ -102,5 +112,14 @@ def over_tasks(success: pd.DataFrame, rule: str) -> pd.DataFrame:
         by_seed = group.groupby("seed", dropna=False)["rate"].mean().tolist()
         interval = over_seeds(by_seed)
         known = len(by_seed) > 1
-        rows.append((variant, kind, interval.mean, interval.low if known else float("nan"), interval.high if known else float("nan"), len(by_seed)))
+        rows.append(
+            (
+                variant,
+                kind,
+                interval.mean,
+                interval.low if known else float("nan"),
+                interval.high if known else float("nan"),
+                len(by_seed),
+            )
+        )
     return pd.DataFrame(rows, columns=["variant", "kind", "rate", "low", "high", "seeds"])

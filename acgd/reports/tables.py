@@ -56,7 +56,13 @@ def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kind
         row = mean[mean["variant"] == variant].iloc[0]
         seeds = max(len(by_seed) for by_seed in of["by_seed"])
         told = f"{seeds} student seed{'s' * (seeds > 1)}" if of["kind"].iloc[0] == "student" else ""
-        rows.append([name(variant.removeprefix("control: "), told), *cells, *([interval(row.rate, row.low, row.high)] if len(tasks) > 1 else [])])
+        rows.append(
+            [
+                name(variant.removeprefix("control: "), told),
+                *cells,
+                *([interval(row.rate, row.low, row.high)] if len(tasks) > 1 else []),
+            ]
+        )
     return Table(["", *tasks, *(["mean of tasks"] if len(tasks) > 1 else [])], rows)
 
 
@@ -68,7 +74,13 @@ def differences(paired: pd.DataFrame, rule: str) -> Table:
         if row.task == ALL_TASKS:
             label = Cell(label.main, label.small, "name strong")
         by_seed = " · ".join(numbers.signed(float(value)) for value in row.by_seed.split())
-        cells = [Cell(str(row.wins)), Cell(str(row.losses)), Cell(str(row.pairs)), Cell(f"{row.p_value:.3f}"), Cell(by_seed, kind="name")]
+        cells = [
+            Cell(str(row.wins)),
+            Cell(str(row.losses)),
+            Cell(str(row.pairs)),
+            Cell(f"{row.p_value:.3f}"),
+            Cell(by_seed, kind="name"),
+        ]
         rows.append([label, interval(row.mean, row.low, row.high, signed=True), *cells])
     return Table(["", "difference", "won", "lost", "pairs", "McNemar’s p", "by student seed"], rows)
 
@@ -76,7 +88,12 @@ def differences(paired: pd.DataFrame, rule: str) -> Table:
 def drops(drops: pd.DataFrame) -> Table:
     """What each variant loses on each task without its image."""
     rows = [
-        [name(row.task, row.variant), Cell(f"{row.own:.2f}"), Cell(f"{row.shuffled:.2f}"), interval(row.mean, row.low, row.high, signed=True)]
+        [
+            name(row.task, row.variant),
+            Cell(f"{row.own:.2f}"),
+            Cell(f"{row.shuffled:.2f}"),
+            interval(row.mean, row.low, row.high, signed=True),
+        ]
         for row in drops.itertuples()
     ]
     return Table(["", "own images", "another episode’s", "lost without"], rows)
@@ -85,7 +102,12 @@ def drops(drops: pd.DataFrame) -> Table:
 def cost(per_stage: pd.DataFrame) -> Table:
     """One row per stage, and the sum."""
     rows = [
-        [name(row.stage), Cell(str(row.artifacts)), *(Cell(numbers.duration(time)) for time in (row.wall_s, row.longest_s, row.cpu_s)), *_space(row)]
+        [
+            name(row.stage),
+            Cell(str(row.artifacts)),
+            *(Cell(numbers.duration(time)) for time in (row.wall_s, row.longest_s, row.cpu_s)),
+            *_space(row),
+        ]
         for row in per_stage.itertuples()
     ]
     total = per_stage[["artifacts", "wall_s", "cpu_s", "bytes"]].sum()
@@ -98,7 +120,13 @@ def cost(per_stage: pd.DataFrame) -> Table:
 def artifacts(cost: pd.DataFrame) -> Table:
     """One row per artifact: its key is its name in the store."""
     rows = [
-        [name(row.stage, row.label), Cell(row.variants, kind="name"), Cell(row.key, kind="key"), Cell(numbers.duration(row.wall_s)), *_space(row)]
+        [
+            name(row.stage, row.label),
+            Cell(row.variants, kind="name"),
+            Cell(row.key, kind="key"),
+            Cell(numbers.duration(row.wall_s)),
+            *_space(row),
+        ]
         for row in cost.rename(columns={"name": "label"}).itertuples()
     ]
     return Table(["artifact", "variants", "key", "wall time", "peak memory", "on disk"], rows)
@@ -106,7 +134,10 @@ def artifacts(cost: pd.DataFrame) -> Table:
 
 def plain(frame: pd.DataFrame, heads: dict[str, str], names: Sequence[str] = ()) -> Table:
     """Columns of a frame as they are, to three digits, under readable heads (column -> head)."""
-    rows = [[name(str(row[c])) if c in names else Cell(numbers.figure(row[c])) for c in heads] for _, row in frame.iterrows()]
+    rows = [
+        [name(str(row[c])) if c in names else Cell(numbers.figure(row[c])) for c in heads]
+        for _, row in frame.iterrows()
+    ]
     return Table(list(heads.values()), rows)
 
 
@@ -150,7 +181,10 @@ def demonstrations(demonstrations: pd.DataFrame) -> Table:
     twice = demonstrations["task"].duplicated(keep=False).any()
     rows = []
     for row in demonstrations.itertuples():
-        counts = [Cell(numbers.figure(value)) for value in (row.demonstrations, row.attempts, row.failures, row.frames, row.environment_steps)]
+        counts = [
+            Cell(numbers.figure(value))
+            for value in (row.demonstrations, row.attempts, row.failures, row.frames, row.environment_steps)
+        ]
         rows.append([name(row.task, row.variants if twice else ""), *counts])
     return Table(["task", "kept", "attempts", "failures", "frames", "environment steps"], rows)
 
@@ -160,7 +194,11 @@ def backbone(backbone: pd.DataFrame) -> Table:
     rows = []
     for (variants, task), group in backbone[backbone["r2"].notna()].groupby(["variants", "task"], sort=False):
         worst = group.loc[group["r2"].idxmin()]
-        shown = [Cell(str(len(group))), Cell(numbers.plain(group["r2"].median())), Cell(numbers.plain(worst["r2"]), worst["target"])]
+        shown = [
+            Cell(str(len(group))),
+            Cell(numbers.plain(group["r2"].median())),
+            Cell(numbers.plain(worst["r2"]), worst["target"]),
+        ]
         rows.append([name(task, variants if backbone["variants"].nunique() > 1 else ""), *shown])
     return Table(["task", "targets", "median R²", "worst R²"], rows)
 
@@ -169,11 +207,21 @@ def critics(critics: pd.DataFrame) -> Table:
     """The ranking within a state first, then what is easier."""
     rows = []
     for row in critics.itertuples():
-        cells = [interval(row.within_state_mean, row.within_state_low, row.within_state_high), interval(row.near_mean, row.near_low, row.near_high)]
+        cells = [
+            interval(row.within_state_mean, row.within_state_low, row.within_state_high),
+            interval(row.near_mean, row.near_low, row.near_high),
+        ]
         others = (row.rank_correlation_monte_carlo, row.bellman_error, row.gain_critic, row.gain_simulator, row.spread)
         tried = Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}")
         rows.append([name(row.task), *cells, tried, *(Cell(numbers.figure(value)) for value in others)])
-    head = ["task", "rank within a state", "near candidates only", "states × actions", "rank, Monte Carlo", "Bellman error"]
+    head = [
+        "task",
+        "rank within a state",
+        "near candidates only",
+        "states × actions",
+        "rank, Monte Carlo",
+        "Bellman error",
+    ]
     return Table([*head, "gain, critic’s pick", "gain, best", "spread of Q"], rows)
 
 

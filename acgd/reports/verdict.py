@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from acgd.reports.settings import ReportRequest
 from acgd.reports import numbers
 from acgd.reports.differences import ALL_TASKS, VISUAL_DROP
+from acgd.reports.settings import ReportRequest
 
 
 def choose_baseline(request: ReportRequest) -> str:
@@ -15,7 +15,9 @@ def choose_baseline(request: ReportRequest) -> str:
     wanted = request.report.baseline
     if wanted is not None:
         if wanted not in variants:
-            raise ValueError(f"report.baseline is {wanted!r}, which is no variant of the study; choose one of {', '.join(variants)}")
+            raise ValueError(
+                f"report.baseline is {wanted!r}, which is no variant of the study; choose one of {', '.join(variants)}"
+            )
         return wanted
     guided = guided_variants(request)
     return next((variant for variant in variants if variant not in guided), variants[0])
@@ -50,7 +52,9 @@ def answers(request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, ba
             continue
         rows = paired[(paired["variant"] == variant) & (paired["rule"] == rule)]
         if rows.empty:
-            sentences.append(f"{variant} shares no student seed, start and task with {baseline}, so nothing can be said of their difference.")
+            sentences.append(
+                f"{variant} shares no student seed, start and task with {baseline}, so nothing can be said of their difference."
+            )
             continue
         whole = rows[rows["task"] == ALL_TASKS]
         row = (whole if len(whole) else rows).iloc[0]
@@ -61,7 +65,9 @@ def answers(request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, ba
         outcome = _outcome(row, "Guidance" if variant in guided and baseline not in guided else "", variant, baseline)
         sentences.append(f"{outcome}{where}: {told}")
     if not sentences and baseline in rates:
-        sentences.append(f"{baseline} succeeds in {rates[baseline]:.2f} of the episodes. With one variant there is nothing to compare.")
+        sentences.append(
+            f"{baseline} succeeds in {rates[baseline]:.2f} of the episodes. With one variant there is nothing to compare."
+        )
     return sentences
 
 
@@ -79,7 +85,11 @@ def exceptions(paired: pd.DataFrame, rule: str) -> str:
     tasks = paired[(paired["rule"] == rule) & (paired["task"] != ALL_TASKS)]
     if tasks["task"].nunique() < 2:
         return ""
-    apart = [f"{row.task} ({row.variant} {numbers.difference(row.mean, row.low, row.high)})" for row in tasks.itertuples() if row.low > 0 or row.high < 0]
+    apart = [
+        f"{row.task} ({row.variant} {numbers.difference(row.mean, row.low, row.high)})"
+        for row in tasks.itertuples()
+        if row.low > 0 or row.high < 0
+    ]
     if not apart:
         return "On no single task does the interval of the difference exclude zero."
     return f"Task by task, the interval excludes zero on {numbers.listing(apart)}."
@@ -88,10 +98,16 @@ def exceptions(paired: pd.DataFrame, rule: str) -> str:
 def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
     """Whether some task needs its image; None where no student was run with shuffled image features."""
     if drops.empty:
-        return None, "Whether the students use their images was not measured: no evaluation has a condition with image_features: shuffled."
+        return (
+            None,
+            "Whether the students use their images was not measured: no evaluation has a condition with image_features: shuffled.",
+        )
     per_task = [group.loc[group["mean"].idxmax()] for _, group in drops.groupby("task", sort=False)]
     needing = [row for row in per_task if row["mean"] >= VISUAL_DROP - 1e-9]
-    lost = [f"{row.task} {'loses ' if place == 0 else ''}{numbers.points(row['mean'])}" for place, row in enumerate(needing or per_task)]
+    lost = [
+        f"{row.task} {'loses ' if place == 0 else ''}{numbers.points(row['mean'])}"
+        for place, row in enumerate(needing or per_task)
+    ]
     if needing:
         return True, f"The study is visual: when image features are shuffled across episodes, {numbers.listing(lost)}."
     return False, (
@@ -105,12 +121,17 @@ def replay(pooled: pd.DataFrame, tasks: Sequence[str]) -> str:
     told = []
     for task in tasks:
         rows = pooled[pooled["task"] == task]
-        students, blind = rows[rows["kind"] == "student"], rows[(rows["kind"] == "control") & rows["variant"].str.contains("replay")]
+        students, blind = (
+            rows[rows["kind"] == "student"],
+            rows[(rows["kind"] == "control") & rows["variant"].str.contains("replay")],
+        )
         if students.empty or blind.empty:
             continue
         best, other = students.loc[students["rate"].idxmax()], blind.loc[blind["rate"].idxmax()]
         if other.high >= best.rate:
-            told.append(f"{task} ({other.variant.removeprefix('control: ')} {other.rate:.2f}, best student {best.rate:.2f})")
+            told.append(
+                f"{task} ({other.variant.removeprefix('control: ')} {other.rate:.2f}, best student {best.rate:.2f})"
+            )
     if not told:
         return ""
     return f"A replay that never looks does about as well as the best student on {numbers.listing(told)}: there, success shows little feedback control."
@@ -131,7 +152,9 @@ def idle_guidance(gates: pd.DataFrame) -> str:
 
 def _which(rows: pd.DataFrame) -> str:
     per_task = rows.groupby(["variant", "task"], sort=False).size()
-    return numbers.listing([f"{task} ({variant}, {count} student{'s' * (count > 1)})" for (variant, task), count in per_task.items()])
+    return numbers.listing(
+        [f"{task} ({variant}, {count} student{'s' * (count > 1)})" for (variant, task), count in per_task.items()]
+    )
 
 
 def _range(counts: pd.Series) -> str:

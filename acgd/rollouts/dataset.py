@@ -39,9 +39,17 @@ class Demonstrations:
         if failures:
             path = path / "failures"
             if not path.is_dir():
-                raise FileNotFoundError(f"no {path}: set rollouts.keep_failures: true, unless summary.json says that no episode failed")
+                raise FileNotFoundError(
+                    f"no {path}: set rollouts.keep_failures: true, unless summary.json says that no episode failed"
+                )
         read = read_group(path, sorted({*arrays, *BOOKKEEPING}))
-        return cls({name: read[name] for name in arrays}, read["episode_ends"], read["seed"], tuple(attributes["reward_terms"]), layout)
+        return cls(
+            {name: read[name] for name in arrays},
+            read["episode_ends"],
+            read["seed"],
+            tuple(attributes["reward_terms"]),
+            layout,
+        )
 
     @property
     def episode_starts(self) -> np.ndarray:

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
-from acgd.rollouts.dataset import Demonstrations
 from acgd.collection.episode import FIELDS
+from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_attributes
 from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import Snapshot
 
 

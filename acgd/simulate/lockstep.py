@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 
 
 class Lockstep:

@@ -33,11 +33,15 @@ Generators = dict[str, torch.Generator]
 
 def training_state(model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> dict[str, Tensor]:
     """Everything a step depends on, flat: `model.*`, `optimiser.<parameter>.<moment>`, `generator.*`."""
-    tensors = {f"model.{name}": value for name, value in model.state_dict().items()} | moments_of(optimiser, "optimiser.")
+    tensors = {f"model.{name}": value for name, value in model.state_dict().items()} | moments_of(
+        optimiser, "optimiser."
+    )
     return tensors | {f"generator.{name}": generator.get_state() for name, generator in generators.items()}
 
 
-def restore(tensors: dict[str, Tensor], model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> None:
+def restore(
+    tensors: dict[str, Tensor], model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators
+) -> None:
     """The inverse of `training_state`."""
     model.load_state_dict(under(tensors, "model."))
     restore_moments(optimiser, tensors, "optimiser.")

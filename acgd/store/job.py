@@ -13,12 +13,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acgd.experts import zoo
 from acgd.store.atomic import replace_file
-from acgd.study.plan import Plan
 from acgd.store.key import identity, key_of
 from acgd.store.stage import Context, Inputs
 from acgd.store.store import ArtifactError, Store, Workspace, check
-from acgd.experts import zoo
+from acgd.study.plan import Plan
 
 if TYPE_CHECKING:
     import torch
@@ -45,7 +45,9 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
     request = _imported(request_type).model_validate(job["request"])
     described = identity(stage, request, _keys(job["inputs"]), zoo.read_by(stage, request))
     if key_of(described) != job["key"]:
-        raise ArtifactError(f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again.")
+        raise ArtifactError(
+            f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again."
+        )
     inputs = _inputs(job["inputs"], store)
 
     def fill(space: Workspace) -> dict[str, Any]:
@@ -62,11 +64,17 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
 
 
 def _keys(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    return {role: [Path(one).name for one in given] if isinstance(given, list) else Path(given).name for role, given in inputs.items()}
+    return {
+        role: [Path(one).name for one in given] if isinstance(given, list) else Path(given).name
+        for role, given in inputs.items()
+    }
 
 
 def _inputs(places: Mapping[str, Any], store: Store) -> Inputs:
-    paths = {role: [store.path(one) for one in given] if isinstance(given, list) else store.path(given) for role, given in places.items()}
+    paths = {
+        role: [store.path(one) for one in given] if isinstance(given, list) else store.path(given)
+        for role, given in places.items()
+    }
     for given in paths.values():
         for path in given if isinstance(given, list) else [given]:
             check(path)
@@ -82,8 +90,16 @@ def _context(space: Workspace, threads: int, device: str) -> Context:
     torch.set_num_threads(threads)
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
     if chosen == "cuda" and not torch.cuda.is_available():
-        raise ArtifactError("device: cuda, but torch sees no GPU. Set device: auto or cpu, or install a torch with CUDA and its driver.")
-    return Context(out=space.payload, state=space.state, metrics=Metrics(space.metrics), progress=Progress(), device=torch.device(chosen))
+        raise ArtifactError(
+            "device: cuda, but torch sees no GPU. Set device: auto or cpu, or install a torch with CUDA and its driver."
+        )
+    return Context(
+        out=space.payload,
+        state=space.state,
+        metrics=Metrics(space.metrics),
+        progress=Progress(),
+        device=torch.device(chosen),
+    )
 
 
 def _usage(started: float, resumed: bool) -> dict[str, Any]:
@@ -126,7 +142,16 @@ def _processor() -> str:
 
 def _revision() -> str | None:
     """Git revision of the code, with a + where files differ from it; none outside a checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"]
+    command = [
+        "git",
+        "-C",
+        str(Path(__file__).parent),
+        "describe",
+        "--always",
+        "--abbrev=12",
+        "--dirty=+",
+        "--exclude=*",
+    ]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
     except (OSError, subprocess.SubprocessError):
@@ -152,7 +177,9 @@ def write_requests(store: Store, plan: Plan) -> None:
     """A request for each artifact that is not there."""
     for place, artifact in plan.artifacts.items():
         if not store.has(place):
-            replace_file(request_file(store, place), lambda draft, text=artifact.job: draft.write_text(text, encoding="utf-8"))
+            replace_file(
+                request_file(store, place), lambda draft, text=artifact.job: draft.write_text(text, encoding="utf-8")
+            )
 
 
 def read_request(file: Path) -> dict[str, Any]:
@@ -162,5 +189,7 @@ def read_request(file: Path) -> dict[str, Any]:
     except (OSError, ValueError, TypeError):
         missing = {"everything"}
     if missing:
-        raise ArtifactError(f"{file} is no request: it lacks {', '.join(sorted(missing))}. The workflow writes it: snakemake --cores 2 <target>.")
+        raise ArtifactError(
+            f"{file} is no request: it lacks {', '.join(sorted(missing))}. The workflow writes it: snakemake --cores 2 <target>."
+        )
     return job

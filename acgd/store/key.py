@@ -48,7 +48,11 @@ def in_key(value: Any) -> Any:
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
-        return {name: in_key(getattr(value, name)) for name, field in fields.items() if not _outside_key(field.json_schema_extra)}
+        return {
+            name: in_key(getattr(value, name))
+            for name, field in fields.items()
+            if not _outside_key(field.json_schema_extra)
+        }
     if isinstance(value, Path):
         return content_digest(value)
     if isinstance(value, Mapping):

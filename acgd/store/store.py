@@ -62,7 +62,11 @@ class Store:
 
     def unfinished(self) -> list[str]:
         """Folders in the store without a manifest."""
-        return sorted(str(folder.relative_to(self.root)) for folder in self.root.glob("*/*/*/") if not (folder / MANIFEST).is_file())
+        return sorted(
+            str(folder.relative_to(self.root))
+            for folder in self.root.glob("*/*/*/")
+            if not (folder / MANIFEST).is_file()
+        )
 
     def in_work(self) -> list[str]:
         """What has been in the making, and may be."""
@@ -108,7 +112,9 @@ class Store:
             os.replace(space.metrics, space.payload / METRICS)
         files = {file.relative_to(space.payload).as_posix(): _synced_digest(file) for file in _files(space.payload)}
         if not files:
-            raise ArtifactError(f"{path}: the stage wrote nothing. This is a fault of the stage, not of the configuration.")
+            raise ArtifactError(
+                f"{path}: the stage wrote nothing. This is a fault of the stage, not of the configuration."
+            )
         _write_json(space.payload / CHECKSUMS, files)
         _write_json(space.payload / RUN, run)
         for folder in (space.payload, *(entry for entry in space.payload.rglob("*") if entry.is_dir())):
@@ -119,7 +125,9 @@ class Store:
 
     def _declare(self, path: Path, place: str, identity: Mapping[str, Any]) -> None:
         stage, name, key = place.split("/")
-        _write_json(path / MANIFEST, {**identity, "stage": stage, "name": name, "key": key, "payload": _checksums(path)})
+        _write_json(
+            path / MANIFEST, {**identity, "stage": stage, "name": name, "key": key, "payload": _checksums(path)}
+        )
         _sync_folder(path)
 
 
@@ -128,7 +136,9 @@ def check(path: Path) -> None:
     manifest = _manifest(path)
     found = damages(path, manifest["payload"], read=False)
     if found:
-        raise ArtifactError(f"{path} is damaged: {'; '.join(found[:5])}. Type: python -m acgd verify --repair, then run the workflow again.")
+        raise ArtifactError(
+            f"{path} is damaged: {'; '.join(found[:5])}. Type: python -m acgd verify --repair, then run the workflow again."
+        )
 
 
 def damages(path: Path, payload: Mapping[str, Mapping[str, Any]], read: bool = True) -> list[str]:
@@ -171,7 +181,9 @@ def _manifest(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise ArtifactError(f"{path}: there is no such artifact. Run the workflow, which makes it.") from None
     except (ValueError, KeyError, TypeError, AssertionError):
-        raise ArtifactError(f"{path}: {MANIFEST} is damaged. Type: python -m acgd verify --repair, then run the workflow again.") from None
+        raise ArtifactError(
+            f"{path}: {MANIFEST} is damaged. Type: python -m acgd verify --repair, then run the workflow again."
+        ) from None
     return manifest
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from acgd.students.settings import ActingConfig
 from acgd.students.ensembling import ensemble
+from acgd.students.settings import ActingConfig
 from acgd.students.student import Student
 
 
@@ -39,7 +39,9 @@ class Actor:
         self.backbone = None if student.sizes.owns_cnn else backbone
         self.device = next(student.parameters()).device
 
-    def reset(self, task_ids: Sequence[int], goal_images: np.ndarray | None, seeds: Sequence[int] | None = None) -> Memory:
+    def reset(
+        self, task_ids: Sequence[int], goal_images: np.ndarray | None, seeds: Sequence[int] | None = None
+    ) -> Memory:
         """A fresh memory. task_ids (n,); goal_images (n, H, W, 3) uint8, or None for a student trained without.
 
         `seeds` are for policies that sample; this one takes the likeliest codes.
@@ -47,7 +49,9 @@ class Actor:
         config, sizes, n = self.student.config, self.student.sizes, len(task_ids)
         uses_goal = config.goal_image != "off"
         if uses_goal and goal_images is None:
-            raise ValueError("this student was trained with a goal image: give goal_images, or train one with codebook.goal_image: off")
+            raise ValueError(
+                "this student was trained with a goal image: give goal_images, or train one with codebook.goal_image: off"
+            )
         return Memory(
             task=np.asarray(task_ids, np.int64),
             goal=self._see(goal_images).cpu().numpy() if uses_goal else None,
@@ -75,7 +79,9 @@ class Actor:
             actions = memory.chunks[:, 0, 0]
         else:
             ages = np.arange(k)
-            actions = ensemble(memory.chunks[:, ages, ages], np.minimum(memory.steps, k - 1), self.acting.mode, self.acting.eta)
+            actions = ensemble(
+                memory.chunks[:, ages, ages], np.minimum(memory.steps, k - 1), self.acting.mode, self.acting.eta
+            )
         return actions, replace(memory, steps=memory.steps + 1)
 
     @torch.inference_mode()

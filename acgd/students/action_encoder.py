@@ -9,7 +9,9 @@ from acgd.nn.block import Block
 class ActionEncoder(nn.Module):
     """a_{t:t+k} -> z_e: G groups of logits, or of coordinates where distances to the codes are the logits."""
 
-    def __init__(self, chunk: int, actions: int, width: int, heads: int, layers: int, expansion: int, groups: int, size: int) -> None:
+    def __init__(
+        self, chunk: int, actions: int, width: int, heads: int, layers: int, expansion: int, groups: int, size: int
+    ) -> None:
         super().__init__()
         self.embed = nn.Linear(actions, width)
         self.past_the_end = nn.Parameter(torch.randn(width) * 0.02)

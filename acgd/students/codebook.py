@@ -9,13 +9,13 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.students.settings import CodebookConfig
+from acgd.nn.excitation import measured
 from acgd.students import quantizer
 from acgd.students.action_encoder import ActionEncoder
 from acgd.students.decoder import Decoder
 from acgd.students.observer import Observer
 from acgd.students.quantizer import Quantizer
-from acgd.nn.excitation import measured
+from acgd.students.settings import CodebookConfig
 
 WEIGHTS, META = "codebook.safetensors", "codebook.json"
 
@@ -39,11 +39,25 @@ class Codebook(nn.Module):
         self.config, self.sizes = config, sizes
         width, heads, expansion = config.width, config.heads, config.expansion
         self.observer = Observer(
-            sizes.features, sizes.proprio, config.history, sizes.tasks, width, expansion, config.goal_image != "off", sizes.owns_cnn
+            sizes.features,
+            sizes.proprio,
+            config.history,
+            sizes.tasks,
+            width,
+            expansion,
+            config.goal_image != "off",
+            sizes.owns_cnn,
         )
         self.quantizer = Quantizer(config.groups, config.codes, width, config.logits == "distance")
         self.action_encoder = ActionEncoder(
-            config.chunk, sizes.actions, width, heads, config.encoder_layers, expansion, config.groups, self.quantizer.encoding_size
+            config.chunk,
+            sizes.actions,
+            width,
+            heads,
+            config.encoder_layers,
+            expansion,
+            config.groups,
+            self.quantizer.encoding_size,
         )
         self.decoder = Decoder(config.chunk, sizes.actions, width, heads, config.decoder_layers, expansion)
 

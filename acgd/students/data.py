@@ -7,11 +7,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from acgd.students.settings import CodebookConfig
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group
 from acgd.rollouts.windows import Windows
 from acgd.students.observer import Observation
+from acgd.students.settings import CodebookConfig
 
 LABELS = {"mean": "mean_action", "executed": "action"}
 
@@ -42,14 +42,27 @@ class Data:
     h: int
 
     @classmethod
-    def load(cls, rollouts: Sequence[Path], features: Sequence[Path] | None, config: CodebookConfig, states: bool, device: torch.device) -> "Data":
+    def load(
+        cls,
+        rollouts: Sequence[Path],
+        features: Sequence[Path] | None,
+        config: CodebookConfig,
+        states: bool,
+        device: torch.device,
+    ) -> "Data":
         """`features` None: read the images. `states`: also read the privileged states, for the critic."""
         label = LABELS[config.label]
-        names = ["proprio", label] + (["state"] if states else []) + (["image", "final_image"] if features is None else [])
+        names = (
+            ["proprio", label] + (["state"] if states else []) + (["image", "final_image"] if features is None else [])
+        )
         demonstrations = [Demonstrations.load(directory, names) for directory in rollouts]
         steps, episodes = [], []
         for index, demo in enumerate(demonstrations):
-            seen = demo.arrays if features is None else read_group(Path(features[index]) / "features.zarr", ["image", "final_image"])
+            seen = (
+                demo.arrays
+                if features is None
+                else read_group(Path(features[index]) / "features.zarr", ["image", "final_image"])
+            )
             step = {"vision": seen["image"], "proprio": demo.arrays["proprio"], "label": demo.arrays[label]}
             steps.append(step | ({"state": demo.arrays["state"]} if states else {}))
             episodes.append({"goal": seen["final_image"]})
@@ -67,7 +80,9 @@ class Data:
         """n training steps, task by task in turn, so that any first rows of a batch are balanced too -> (n,)."""
         tasks, device = len(self.by_task), self.windows.task.device
         rows = -(-n // tasks)
-        drawn = [steps[torch.randint(len(steps), (rows,), generator=generator, device=device)] for steps in self.by_task]
+        drawn = [
+            steps[torch.randint(len(steps), (rows,), generator=generator, device=device)] for steps in self.by_task
+        ]
         return torch.stack(drawn, dim=1).flatten()[:n]
 
     def batch(self, t: Tensor, generator: torch.Generator) -> Batch:
@@ -76,7 +91,9 @@ class Data:
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
         proprio = windows.history_of("proprio", t, self.h - 1)
-        return Batch(t, Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task), chunk, mask)
+        return Batch(
+            t, Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task), chunk, mask
+        )
 
     def states(self, t: Tensor) -> Tensor:
         """Privileged states s_{t+j} under each step of the chunk, for the critic alone, (B, k, S)."""

@@ -6,16 +6,16 @@ Divided by alpha, so that neither the clipping of gradients nor a student withou
 import torch
 from torch import Tensor
 
-from acgd.store.checkpoint import Generators
-from acgd.store.stage import Context, Inputs
-from acgd.students.settings import StudentRequest
 from acgd.critics.aggregate import AggregateCritic
 from acgd.nn.q_ensemble import Critic
+from acgd.store.checkpoint import Generators
+from acgd.store.stage import Context, Inputs
 from acgd.students import losses, quantizer
 from acgd.students.codebook import Codebook
 from acgd.students.data import Batch, Data
 from acgd.students.fit_codebook import VALIDATION_BATCH, all_codes
 from acgd.students.guidance import Guidance, gates, ratio_by_task, verdict
+from acgd.students.settings import StudentRequest
 from acgd.students.student import Student
 from acgd.students.training import train
 
@@ -35,7 +35,9 @@ def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         student = Student.of(codebook).to(ctx.device)
     guidance = load_guidance(config, inputs, ctx.device) if guided else None
     # Codes are sampled from a stream of their own: a guided and an unguided student of one seed see the same batches.
-    generators = {name: torch.Generator(ctx.device).manual_seed(config.seed + at) for at, name in enumerate(("data", "codes"))}
+    generators = {
+        name: torch.Generator(ctx.device).manual_seed(config.seed + at) for at, name in enumerate(("data", "codes"))
+    }
     training, names, tally = config.student.training, [task.name for task in config.tasks], {}
 
     def step_loss(step: int, logged: bool) -> tuple[Tensor, dict[str, float]]:
@@ -56,7 +58,17 @@ def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
             tally["rows"] = tally.get("rows", 0) + 1
         return bc.mean() + (distill.mean() if guided else 0), row
 
-    best = train(student, step_loss, lambda: validate(student, data, codes, guidance), training, generators, tally, ctx, "student", CHOSEN_BY)
+    best = train(
+        student,
+        step_loss,
+        lambda: validate(student, data, codes, guidance),
+        training,
+        generators,
+        tally,
+        ctx,
+        "student",
+        CHOSEN_BY,
+    )
     notes = {
         "tasks": names,
         "student": config.student.model_dump(mode="json"),
@@ -69,7 +81,9 @@ def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
 
 def load_guidance(config: StudentRequest, inputs: Inputs, device: torch.device) -> Guidance:
     """The frozen critics of all tasks, in the study's order, and their gates."""
-    critics = AggregateCritic([Critic.load(directory) for directory in inputs["critics"]], config.student.pessimism).to(device)
+    critics = AggregateCritic([Critic.load(directory) for directory in inputs["critics"]], config.student.pessimism).to(
+        device
+    )
     weights = losses.step_weights(config.student.guided_steps, config.codebook.chunk, device)
     return Guidance(critics, gates(config.student, inputs["critics"], device), weights)
 
@@ -122,7 +136,8 @@ def validate(student: Student, data: Data, codes: Tensor, guidance: Guidance | N
             "validation_loss": bc,
             "validation_l_lat": row["l_lat"],
             "validation_l_act": row["l_act"],
-            "validation_plan_error": losses.act(student.measured(plan), student.measured(batch.chunk), batch.mask) / plan.shape[-1],
+            "validation_plan_error": losses.act(student.measured(plan), student.measured(batch.chunk), batch.mask)
+            / plan.shape[-1],
             "validation_code_accuracy": (chosen == codes[t]).float().mean(-1),
         }
         if guidance is not None:

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from acgd.store.stage import Context, Inputs
-from acgd.students.settings import CodebookRequest
 from acgd.students import losses, quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.data import Batch, Data
+from acgd.students.settings import CodebookRequest
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
@@ -42,7 +42,9 @@ def new_codebook(config: CodebookRequest, data: Data, device: torch.device) -> C
     windows = data.windows
     scratch = config.backbone.kind == "scratch"
     features = config.backbone.dim if scratch else windows.steps["vision"].shape[-1]
-    sizes = Sizes(features, windows.steps["proprio"].shape[-1], windows.steps["label"].shape[-1], len(config.tasks), scratch)
+    sizes = Sizes(
+        features, windows.steps["proprio"].shape[-1], windows.steps["label"].shape[-1], len(config.tasks), scratch
+    )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         codebook = Codebook(config.codebook, sizes).to(device)
@@ -79,8 +81,16 @@ def reconstruction(codebook: Codebook, data: Data, steps: Tensor) -> dict[str, f
         z = codebook.observer(batch.observation)
         target = codebook.measured(batch.chunk)
         other = onehot[torch.randperm(len(t), generator=generator, device=t.device)]
-        error += losses.act(codebook.measured(codebook.decoder(codebook.quantizer.embed(onehot), *z)), target, batch.mask).sum().item()
-        shuffled += losses.act(codebook.measured(codebook.decoder(codebook.quantizer.embed(other), *z)), target, batch.mask).sum().item()
+        error += (
+            losses.act(codebook.measured(codebook.decoder(codebook.quantizer.embed(onehot), *z)), target, batch.mask)
+            .sum()
+            .item()
+        )
+        shuffled += (
+            losses.act(codebook.measured(codebook.decoder(codebook.quantizer.embed(other), *z)), target, batch.mask)
+            .sum()
+            .item()
+        )
     codebook.train()
     per_component = len(steps) * codebook.sizes.actions
     return {"error": error / per_component, "shuffled_error": shuffled / per_component}

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from acgd.students.settings import StudentConfig
 from acgd.critics.aggregate import AggregateCritic
 from acgd.students import losses
+from acgd.students.settings import StudentConfig
 
 COUNTS = 0.01
 """Below this ratio of gradient norms, L_distill over L_BC, a task counts as not guided."""

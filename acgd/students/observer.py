@@ -29,7 +29,11 @@ class Observation:
     def first(self, n: int) -> "Observation":
         """The first n rows."""
         return replace(
-            self, vision=self.vision[:n], goal=None if self.goal is None else self.goal[:n], proprio=self.proprio[:n], task=self.task[:n]
+            self,
+            vision=self.vision[:n],
+            goal=None if self.goal is None else self.goal[:n],
+            proprio=self.proprio[:n],
+            task=self.task[:n],
         )
 
 
@@ -57,7 +61,17 @@ class Normaliser(nn.Module):
 class Observer(nn.Module):
     """Observation -> z_state, z_task, each (B, d)."""
 
-    def __init__(self, features: int, proprio: int, history: int, tasks: int, width: int, expansion: int, goal_image: bool, owns_cnn: bool) -> None:
+    def __init__(
+        self,
+        features: int,
+        proprio: int,
+        history: int,
+        tasks: int,
+        width: int,
+        expansion: int,
+        goal_image: bool,
+        owns_cnn: bool,
+    ) -> None:
         super().__init__()
         self.cnn = SmallCNN(features) if owns_cnn else None
         self.normalise_features = Normaliser(features)
@@ -65,7 +79,9 @@ class Observer(nn.Module):
         self.state_encoder = StateEncoder(history, proprio, width, expansion)
         self.task_encoder = TaskEncoder(features, tasks, width, expansion, goal_image)
 
-    def forward(self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
+    ) -> tuple[Tensor, Tensor]:
         """`noise` is the standard deviation of Gaussian noise on the normalised inputs, for training."""
 
         def seen(vision: Tensor) -> Tensor:

@@ -22,14 +22,22 @@ class TrainingConfig(Section):
     schedule: Literal["cosine", "constant"] = Field("cosine", description="learning rate after the warm-up")
     warmup: Annotated[int, Field(ge=0)] = Field(100, description="steps of linear warm-up")
     weight_decay: NonNegative = Field(0.01, description="decoupled weight decay of the weight matrices")
-    clip_norm: Annotated[float, Field(gt=0)] = Field(10.0, description="global gradient norm above which gradients are scaled down")
-    input_noise: NonNegative = Field(
-        0.03, description="standard deviation of Gaussian noise on the normalised image features and proprioception while training"
+    clip_norm: Annotated[float, Field(gt=0)] = Field(
+        10.0, description="global gradient norm above which gradients are scaled down"
     )
-    precision: Literal["float32", "bfloat16"] = Field("float32", description="arithmetic of the matrix products in training; bfloat16 is float32 where the hardware lacks it")
+    input_noise: NonNegative = Field(
+        0.03,
+        description="standard deviation of Gaussian noise on the normalised image features and proprioception while training",
+    )
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32",
+        description="arithmetic of the matrix products in training; bfloat16 is float32 where the hardware lacks it",
+    )
     validate_every: Positive = Field(250, description="steps between validations; the best of them is kept")
     log_every: Positive = Field(100, description="steps between rows of metrics", json_schema_extra={"key": False})
-    checkpoint_every: Positive = Field(500, description="steps between checkpoints for resumption", json_schema_extra={"key": False})
+    checkpoint_every: Positive = Field(
+        500, description="steps between checkpoints for resumption", json_schema_extra={"key": False}
+    )
 
 
 class CodebookConfig(Section):
@@ -52,34 +60,48 @@ class CodebookConfig(Section):
         description="goal image o_T in training: that of any training episode of the task, as in an evaluation whose goals are "
         "training successes; the episode's own (the paper), for oracle goals; or none",
     )
-    label: Literal["mean", "executed"] = Field("mean", description="imitate the expert's mean or the action it executed")
+    label: Literal["mean", "executed"] = Field(
+        "mean", description="imitate the expert's mean or the action it executed"
+    )
     action_space: Literal["raw", "excitation"] = Field(
         "raw", description="measure actions as they are, or as the muscle excitation that MyoSuite makes of them"
     )
     code_weight: NonNegative = Field(0.1, description="weight of L_code")
-    usage_weight: NonNegative = Field(0.1, description="weight of the bonus on the entropy of the batch's mean code usage")
+    usage_weight: NonNegative = Field(
+        0.1, description="weight of the bonus on the entropy of the batch's mean code usage"
+    )
     training: TrainingConfig = Field(TrainingConfig(), description="optimisation")
 
     @model_validator(mode="after")
     def _heads_divide_width(self) -> "CodebookConfig":
         if self.width % self.heads:
-            raise ValueError(f"width {self.width} is no multiple of heads {self.heads}; choose e.g. width {self.heads * (self.width // self.heads + 1)}")
+            raise ValueError(
+                f"width {self.width} is no multiple of heads {self.heads}; choose e.g. width {self.heads * (self.width // self.heads + 1)}"
+            )
         return self
 
 
 class StudentConfig(Section):
     """Stage (b) of Figure 2: behaviour cloning of codes and actions, with or without the critics."""
 
-    guidance: Literal["none", "critic"] = Field("critic", description="critic: add L_distill; none: behaviour cloning alone")
+    guidance: Literal["none", "critic"] = Field(
+        "critic", description="critic: add L_distill; none: behaviour cloning alone"
+    )
     gate: Literal["one", "reliable"] = Field(
         "one", description="one: every task is guided (the paper); reliable: only tasks whose critic ranks actions well"
     )
-    reliable_rank: float = Field(0.2, description="gate reliable: least low end of the interval of the within-state rank correlation")
-    guided_steps: Literal["chunk", "first"] = Field("chunk", description="actions the critic judges: every step of the chunk, or the first")
+    reliable_rank: float = Field(
+        0.2, description="gate reliable: least low end of the interval of the within-state rank correlation"
+    )
+    guided_steps: Literal["chunk", "first"] = Field(
+        "chunk", description="actions the critic judges: every step of the chunk, or the first"
+    )
     guided_fraction: Annotated[float, Field(gt=0, le=1)] = Field(
         0.25, description="share of each batch the critics see; the expectation of L_distill does not depend on it"
     )
-    alpha: Annotated[float, Field(gt=0)] = Field(10.0, description="alpha, weight of L_BC against L_distill, Eq. (1); the loss is divided by it")
+    alpha: Annotated[float, Field(gt=0)] = Field(
+        10.0, description="alpha, weight of L_BC against L_distill, Eq. (1); the loss is divided by it"
+    )
     pessimism: NonNegative = Field(1.0, description="standard deviations of the critic ensemble taken off its mean")
     training: TrainingConfig = Field(TrainingConfig(), description="optimisation")
 

@@ -9,14 +9,14 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.students.settings import CodebookConfig
+from acgd.nn.excitation import measured
 from acgd.students import quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.decoder import Decoder
 from acgd.students.latent_encoder import LatentEncoder
 from acgd.students.observer import Observation, Observer
 from acgd.students.quantizer import Quantizer
-from acgd.nn.excitation import measured
+from acgd.students.settings import CodebookConfig
 
 META = "student.json"
 
@@ -28,11 +28,20 @@ class Student(nn.Module):
         super().__init__()
         self.config, self.sizes = config, sizes
         self.observer = Observer(
-            sizes.features, sizes.proprio, config.history, sizes.tasks, config.width, config.expansion, config.goal_image != "off", sizes.owns_cnn
+            sizes.features,
+            sizes.proprio,
+            config.history,
+            sizes.tasks,
+            config.width,
+            config.expansion,
+            config.goal_image != "off",
+            sizes.owns_cnn,
         )
         self.latent_encoder = LatentEncoder(config.width, config.expansion, config.groups, config.codes)
         self.quantizer = Quantizer(config.groups, config.codes, config.width).requires_grad_(False)
-        self.decoder = Decoder(config.chunk, sizes.actions, config.width, config.heads, config.decoder_layers, config.expansion)
+        self.decoder = Decoder(
+            config.chunk, sizes.actions, config.width, config.heads, config.decoder_layers, config.expansion
+        )
 
     @classmethod
     def of(cls, codebook: Codebook) -> Self:

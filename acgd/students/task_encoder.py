@@ -19,6 +19,8 @@ class TaskEncoder(nn.Module):
     def forward(self, features: Tensor, goal: Tensor | None, task: Tensor) -> Tensor:
         """features, goal (B, F), normalised; task (B,) -> z_task (B, d)."""
         if self.goal_image and goal is None:
-            raise ValueError("this student was trained with a goal image: give goal features, or train one with codebook.goal_image: off")
+            raise ValueError(
+                "this student was trained with a goal image: give goal features, or train one with codebook.goal_image: off"
+            )
         seen = torch.cat([features, goal], dim=-1) if self.goal_image else features
         return self.net(self.features(seen) + self.task_to_hidden(self.task(task)))

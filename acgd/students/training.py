@@ -88,19 +88,30 @@ def train(
 
             if logged:
                 if not math.isfinite(loss.item()):
-                    raise FloatingPointError(f"{what}: the loss is {loss.item()} at step {done}; lower training.learning_rate or training.clip_norm")
-                row = {**row, "loss": loss.item(), "gradient_norm": norm.item(), "learning_rate": learning_rate(step, config)}
+                    raise FloatingPointError(
+                        f"{what}: the loss is {loss.item()} at step {done}; lower training.learning_rate or training.clip_norm"
+                    )
+                row = {
+                    **row,
+                    "loss": loss.item(),
+                    "gradient_norm": norm.item(),
+                    "learning_rate": learning_rate(step, config),
+                }
             if done % config.validate_every == 0 or done == config.steps:
                 scores = validate()
                 row = {**row, **scores}
                 if scores[choose] < best.loss:
-                    best = Best(scores[choose], done, {name: value.clone() for name, value in model.state_dict().items()})
+                    best = Best(
+                        scores[choose], done, {name: value.clone() for name, value in model.state_dict().items()}
+                    )
             if row:
                 ctx.metrics.log(done, **row)
             if done % config.checkpoint_every == 0 and done < config.steps:
                 ctx.metrics.flush()
                 state = checkpoint.training_state(model, optimiser, generators)
                 state |= {f"best.{name}": value for name, value in best.weights.items()}
-                checkpoint.save(ctx.state, state, {"step": done, "best_loss": best.loss, "best_step": best.step, "tally": tally})
+                checkpoint.save(
+                    ctx.state, state, {"step": done, "best_loss": best.loss, "best_step": best.step, "tally": tally}
+                )
             bar.update(1)
     return best

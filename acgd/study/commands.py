@@ -7,11 +7,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from acgd.study import names
-from acgd.study.plan import Plan, plan
 from acgd.store.lock import held
 from acgd.store.store import MANIFEST, ArtifactError, Store, damages
+from acgd.study import names
 from acgd.study.load import ConfigError, read_yaml
+from acgd.study.plan import Plan, plan
 from acgd.study.study import load_study
 
 Table = list[tuple[str, ...]]
@@ -19,9 +19,13 @@ Table = list[tuple[str, ...]]
 
 def plans(files: Sequence[Path]) -> list[Plan]:
     """What the studies in these files need; without files, config.yaml and all of studies/."""
-    files = list(files) or [file for file in (Path("config.yaml"), *sorted(Path("studies").glob("*.yaml"))) if file.is_file()]
+    files = list(files) or [
+        file for file in (Path("config.yaml"), *sorted(Path("studies").glob("*.yaml"))) if file.is_file()
+    ]
     if not files:
-        raise ConfigError("There is no config.yaml here, nor studies/. Go to the folder of config.yaml, or name the files of the studies.")
+        raise ConfigError(
+            "There is no config.yaml here, nor studies/. Go to the folder of config.yaml, or name the files of the studies."
+        )
     return [_plan(file) for file in files]
 
 
@@ -77,7 +81,9 @@ def verify(store: Store, repair: bool) -> None:
             found = [f"{MANIFEST} is damaged"]
         if found:
             damaged[place] = found
-            print(f"{store.path(place)}: {'; '.join(found[:5])}{f' and {len(found) - 5} more' if len(found) > 5 else ''}")
+            print(
+                f"{store.path(place)}: {'; '.join(found[:5])}{f' and {len(found) - 5} more' if len(found) > 5 else ''}"
+            )
             if repair:
                 store.remove(place)
     print(f"{len(places)} artifacts read, {len(damaged)} damaged{' and removed' if damaged and repair else ''}")
@@ -85,7 +91,9 @@ def verify(store: Store, repair: bool) -> None:
         names.prune_dangling(store)
         print("Run the workflow, which makes them anew.")
     elif damaged:
-        raise ArtifactError("To remove the damaged artifacts: python -m acgd verify --repair. Then run the workflow, which makes them anew.")
+        raise ArtifactError(
+            "To remove the damaged artifacts: python -m acgd verify --repair. Then run the workflow, which makes them anew."
+        )
 
 
 def mirror(store: Store, plans: Iterable[Plan]) -> None:
@@ -94,7 +102,9 @@ def mirror(store: Store, plans: Iterable[Plan]) -> None:
 
     for plan in plans:
         published = [artifact for artifact in plan.artifacts.values() if store.has(artifact.place)]
-        written = sync(store.results, plan.study, [Mirrored(store.path(one.place), tuple(plan.names_of(one))) for one in published])
+        written = sync(
+            store.results, plan.study, [Mirrored(store.path(one.place), tuple(plan.names_of(one))) for one in published]
+        )
         if written is not None:
             print(f"MLflow, {plan.study}: {len(published)} artifacts, {written} of them new")
 
@@ -113,7 +123,9 @@ def _plan(file: Path) -> Plan:
         return plan(load_study(read_yaml(file)))
     except ConfigError as error:
         lines = str(error).splitlines()
-        raise ConfigError("\n".join(line if line.startswith(f"{file}:") else f"{file}: {line}" for line in lines)) from None
+        raise ConfigError(
+            "\n".join(line if line.startswith(f"{file}:") else f"{file}: {line}" for line in lines)
+        ) from None
 
 
 def _users(plans: Iterable[Plan]) -> dict[str, list[str]]:

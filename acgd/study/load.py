@@ -41,7 +41,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         near = difflib.get_close_matches(path.name, [file.name for file in path.parent.glob("*.yaml")], n=1, cutoff=0.4)
-        raise ConfigError(f"{path}: no such file." + (f" Nearest: {path.parent / near[0]}." if near else " Give the path of a study.")) from None
+        raise ConfigError(
+            f"{path}: no such file." + (f" Nearest: {path.parent / near[0]}." if near else " Give the path of a study.")
+        ) from None
     except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
         raise ConfigError(f"{path}: not readable as YAML. {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
@@ -49,7 +51,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return content
 
 
-def validated(model: type[Model], content: Any, prefix: Sequence[str | int] = (), root: type[BaseModel] | None = None) -> Model:
+def validated(
+    model: type[Model], content: Any, prefix: Sequence[str | int] = (), root: type[BaseModel] | None = None
+) -> Model:
     """`content` as the model, or a ConfigError with one line for each fault.
 
     `prefix` is where `content` stands in the configuration; `root` is the model of the whole configuration, in which a
@@ -80,7 +84,11 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
         if _initials(name, candidate):
             return candidate
     contained = [candidate for candidate in known if len(name) > 2 and (name in candidate or candidate in name)]
-    found = difflib.get_close_matches(name, known, n=1, cutoff=0.6) or contained or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    found = (
+        difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+        or contained
+        or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    )
     return found[0] if found else None
 
 
@@ -126,7 +134,9 @@ def _mend_unknown(model: type[BaseModel], root: type[BaseModel], place: Sequence
     known = list(section.model_fields) if section else []
     near = nearest(name, known)
     elsewhere = [dotted(path) for path in _places(root) if path[-1] == name]
-    if elsewhere and (near is None or difflib.SequenceMatcher(None, name, near).ratio() < 0.8 and not _initials(name, near)):
+    if elsewhere and (
+        near is None or difflib.SequenceMatcher(None, name, near).ratio() < 0.8 and not _initials(name, near)
+    ):
         return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
     if near:
         return f"Nearest: {near}. Rename it, or remove it."
@@ -150,7 +160,9 @@ def _model_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseMo
             current = section.model_fields[part].annotation
         else:
             arguments = get_args(current)
-            current = arguments[-1] if arguments and arguments[-1] is not Ellipsis else arguments[0] if arguments else None
+            current = (
+                arguments[-1] if arguments and arguments[-1] is not Ellipsis else arguments[0] if arguments else None
+            )
     return as_model(current)
 
 

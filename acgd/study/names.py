@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 from acgd.store.atomic import replace_file
-from acgd.study.plan import Artifact, Plan
 from acgd.store.key import KEY_LENGTH, canonical
 from acgd.store.store import MANIFEST, METRICS, NOT_PAYLOAD, Store
+from acgd.study.plan import Artifact, Plan
 
 
 def all_names(plan: Plan) -> dict[str, list[Artifact]]:
@@ -33,7 +33,11 @@ def prune(store: Store, plan: Plan) -> dict[Path, str]:
     for file in [file for file in folder.rglob("*") if file.is_file() and _is_name(file)]:
         name = file.relative_to(folder).as_posix()
         text = file.read_text(encoding="utf-8")
-        holds = name in names and text == content(store, plan, name) and all(store.has(artifact.place) for artifact in names[name])
+        holds = (
+            name in names
+            and text == content(store, plan, name)
+            and all(store.has(artifact.place) for artifact in names[name])
+        )
         if not holds:
             said[file] = text
             file.unlink()
@@ -49,7 +53,11 @@ def restore(said: dict[Path, str]) -> None:
 
 def prune_dangling(store: Store) -> None:
     """Takes away names of artifacts that are gone, in every study."""
-    for file in [file for file in store.results.rglob("*") if file.is_file() and store.root not in file.parents and _is_name(file)]:
+    for file in [
+        file
+        for file in store.results.rglob("*")
+        if file.is_file() and store.root not in file.parents and _is_name(file)
+    ]:
         if not all((Path(line) / MANIFEST).is_file() for line in file.read_text(encoding="utf-8").split()):
             file.unlink()
 

@@ -4,14 +4,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from acgd.store.key import canonical, identity, in_key, key_of
-from acgd.experts import zoo
+from acgd.collection.settings import RolloutsRequest
 from acgd.critics.settings import CriticConfig, CriticRequest
 from acgd.evaluation.settings import ControlsRequest, EvaluationRequest
+from acgd.experts import zoo
 from acgd.experts.settings import ExpertRequest, ExpertSettings
 from acgd.reports.settings import ReportEntry, ReportRequest
-from acgd.collection.settings import RolloutsRequest
 from acgd.settings import Section
+from acgd.store.key import canonical, identity, in_key, key_of
 from acgd.students.settings import CodebookRequest, StudentRequest
 from acgd.study.study import Settings, Study, TaskSettings
 from acgd.tasks.settings import TaskConfig
@@ -39,11 +39,17 @@ class Artifact:
 
     @property
     def input_keys(self) -> dict[str, str | list[str]]:
-        return {role: given.key if isinstance(given, Artifact) else [one.key for one in given] for role, given in self.inputs.items()}
+        return {
+            role: given.key if isinstance(given, Artifact) else [one.key for one in given]
+            for role, given in self.inputs.items()
+        }
 
     @property
     def input_places(self) -> dict[str, str | list[str]]:
-        return {role: given.place if isinstance(given, Artifact) else [one.place for one in given] for role, given in self.inputs.items()}
+        return {
+            role: given.place if isinstance(given, Artifact) else [one.place for one in given]
+            for role, given in self.inputs.items()
+        }
 
     @property
     def upstream(self) -> list["Artifact"]:
@@ -54,7 +60,9 @@ class Artifact:
     def job(self) -> str:
         """All that a process needs to make it, as canonical JSON."""
         request = self.request.model_dump(mode="json")
-        return canonical({"stage": self.stage, "name": self.name, "key": self.key, "request": request, "inputs": self.input_places})
+        return canonical(
+            {"stage": self.stage, "name": self.name, "key": self.key, "request": request, "inputs": self.input_places}
+        )
 
 
 @dataclass
@@ -119,21 +127,24 @@ def _chain(plan: Plan, settings: Settings) -> Chain:
     tasks = [each.task for each in settings.each_task]
     expert = tuple(plan.add(_expert(each)) for each in settings.each_task)
     rollouts = tuple(
-        plan.add(Artifact("rollouts", slug(each.task), RolloutsRequest(task=each.task, rollouts=each.rollouts), {"expert": made}))
+        plan.add(
+            Artifact(
+                "rollouts", slug(each.task), RolloutsRequest(task=each.task, rollouts=each.rollouts), {"expert": made}
+            )
+        )
         for each, made in zip(settings.each_task, expert, strict=True)
     )
     guided = settings.student.guidance == "critic"
     critic = tuple(
-        plan.add(_critic(each, made))
-        for each, made in zip(settings.each_task, expert, strict=True)
-        if guided
+        plan.add(_critic(each, made)) for each, made in zip(settings.each_task, expert, strict=True) if guided
     )
     backbone = plan.add(_backbone(settings, tasks, rollouts))
     features: tuple[Artifact, ...] = ()
     if settings.backbone.kind != "scratch":
         request = FeaturesRequest(features=settings.features)
         features = tuple(
-            plan.add(Artifact("features", slug(task), request, {"rollouts": one, "backbone": backbone})) for task, one in zip(tasks, rollouts, strict=True)
+            plan.add(Artifact("features", slug(task), request, {"rollouts": one, "backbone": backbone}))
+            for task, one in zip(tasks, rollouts, strict=True)
         )
     codebooks, students, evaluations = [], [], []
     for seed in settings.seeds:
@@ -141,7 +152,9 @@ def _chain(plan: Plan, settings: Settings) -> Chain:
         shared = {"tasks": tasks, "codebook": settings.codebook, "backbone": settings.backbone.used(), "seed": seed}
         seen: Upstream = {"rollouts": rollouts, "features": features} if features else {"rollouts": rollouts}
         codebook = plan.add(Artifact("codebook", name, CodebookRequest(**shared), seen))
-        inputs: Upstream = {**seen, "codebook": codebook, "critics": critic} if guided else {**seen, "codebook": codebook}
+        inputs: Upstream = (
+            {**seen, "codebook": codebook, "critics": critic} if guided else {**seen, "codebook": codebook}
+        )
         student = plan.add(Artifact("student", name, StudentRequest(**shared, student=settings.student), inputs))
         evaluation = plan.add(
             Artifact(
@@ -189,7 +202,12 @@ def _backbone(settings: Settings, tasks: list[TaskConfig], rollouts: tuple[Artif
     kind = settings.backbone.kind
     if kind != "privileged":
         return Artifact("backbone", kind, BackboneRequest(tasks=[], backbone=settings.backbone), {})
-    return Artifact("backbone", f"{kind}-{group(tasks)}", BackboneRequest(tasks=tasks, backbone=settings.backbone), {"rollouts": rollouts})
+    return Artifact(
+        "backbone",
+        f"{kind}-{group(tasks)}",
+        BackboneRequest(tasks=tasks, backbone=settings.backbone),
+        {"rollouts": rollouts},
+    )
 
 
 def _report(study: Study, chains: dict[str, Chain]) -> Artifact:
@@ -217,7 +235,9 @@ def _report(study: Study, chains: dict[str, Chain]) -> Artifact:
         for i, seed in enumerate(study.resolved[name].seeds)
     ]
     configuration = in_key(study)
-    request = ReportRequest(study=study.name, tasks=study.tasks, entries=tuple(entries), report=study.report, configuration=configuration)
+    request = ReportRequest(
+        study=study.name, tasks=study.tasks, entries=tuple(entries), report=study.report, configuration=configuration
+    )
     inputs: Upstream = {stage: tuple(artifacts) for stage, artifacts in made.items() if artifacts}
     return Artifact("report", study.name, request, inputs)
 

@@ -70,7 +70,13 @@ def _leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, Fie
 
 
 def _table(title: str, text: str, rows: list[tuple[str, FieldInfo]]) -> str:
-    lines = [f"## {title}", "", *([text.strip(), ""] if text.strip() else []), "| key | type | default | |", "|---|---|---|---|"]
+    lines = [
+        f"## {title}",
+        "",
+        *([text.strip(), ""] if text.strip() else []),
+        "| key | type | default | |",
+        "|---|---|---|---|",
+    ]
     for name, field in rows:
         mark = " †" if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("key") is False else ""
         cells = (f"`{name}`{mark}", _type(field.annotation), _default(field), field.description or "")

@@ -9,19 +9,19 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, JsonValue, create_model, field_validator, model_validator
 
-from acgd.experts import zoo
+from acgd.collection.settings import RolloutsConfig
 from acgd.critics.settings import CriticConfig
 from acgd.evaluation.settings import ControlsConfig, EvaluationConfig
+from acgd.experts import zoo
 from acgd.experts.settings import ExpertSettings
-from acgd.study.load import ConfigError, dotted, merge, nearest, validated
 from acgd.reports.settings import ReportConfig
-from acgd.collection.settings import RolloutsConfig
 from acgd.settings import Section
 from acgd.students.settings import CodebookConfig, StudentConfig
-from acgd.tasks.settings import TaskConfig
+from acgd.study.load import ConfigError, dotted, merge, nearest, validated
 from acgd.study.variants import expanded
-from acgd.vision.settings import BackboneConfig, FeaturesConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
+from acgd.vision.settings import BackboneConfig, FeaturesConfig
 
 Model = TypeVar("Model", bound=BaseModel)
 Item = TypeVar("Item")
@@ -62,18 +62,26 @@ class Settings(Section):
     """All that one variant is made from."""
 
     tasks: tuple[str, ...] = Field(
-        ("myo/key-turn", "myo/obj-hold", "myo/reach"), min_length=1, description="Tasks that one student learns together. Their order gives the task ids."
+        ("myo/key-turn", "myo/obj-hold", "myo/reach"),
+        min_length=1,
+        description="Tasks that one student learns together. Their order gives the task ids.",
     )
-    seeds: tuple[int, ...] = Field((0, 1, 2), min_length=1, description="Student seeds. Each reseeds codebook, data order and initialisation.")
+    seeds: tuple[int, ...] = Field(
+        (0, 1, 2), min_length=1, description="Student seeds. Each reseeds codebook, data order and initialisation."
+    )
     task: TaskDefaults = Field(TaskDefaults(), description="The same for every task; `overrides` has exceptions.")
     expert: ExpertSettings = Field(ExpertSettings(), description="Stage expert, one artifact for each task.")
     critic: CriticConfig = Field(CriticConfig(), description="Stage critic, one artifact for each task.")
     rollouts: RolloutsConfig = Field(RolloutsConfig(), description="Stage rollouts, one artifact for each task.")
     backbone: BackboneConfig = Field(BackboneConfig(), description="Stage backbone.")
     features: FeaturesConfig = Field(FeaturesConfig(), description="Stage features, one artifact for each task.")
-    codebook: CodebookConfig = Field(CodebookConfig(), description="Stage codebook, one artifact for each student seed.")
+    codebook: CodebookConfig = Field(
+        CodebookConfig(), description="Stage codebook, one artifact for each student seed."
+    )
     student: StudentConfig = Field(StudentConfig(), description="Stage student, one artifact for each student seed.")
-    evaluation: EvaluationConfig = Field(EvaluationConfig(), description="Stage evaluation, one artifact for each student.")
+    evaluation: EvaluationConfig = Field(
+        EvaluationConfig(), description="Stage evaluation, one artifact for each student."
+    )
     controls: ControlsConfig = Field(ControlsConfig(), description="Stage controls, one artifact.")
     overrides: dict[str, TaskOverrides] = Field({}, description="Task name -> what that task does otherwise.")
 
@@ -82,7 +90,9 @@ class Settings(Section):
     def _known_tasks(cls, tasks: tuple[str, ...]) -> tuple[str, ...]:
         for name in tasks:
             if name not in TASKS:
-                raise ValueError(f"{name!r} is no task. Nearest: {nearest(name, TASKS) or next(iter(TASKS))}. Known: {', '.join(TASKS)}.")
+                raise ValueError(
+                    f"{name!r} is no task. Nearest: {nearest(name, TASKS) or next(iter(TASKS))}. Known: {', '.join(TASKS)}."
+                )
         first = TASKS[tasks[0]].suite
         if other := [name for name in tasks if TASKS[name].suite != first]:
             raise ValueError(
@@ -102,7 +112,9 @@ class Settings(Section):
     def _overrides_of_its_tasks(self) -> "Settings":
         for name in self.overrides:
             if name not in self.tasks:
-                raise ValueError(f"overrides.{name} is for a task that is not in tasks. Nearest: {nearest(name, self.tasks) or self.tasks[0]}.")
+                raise ValueError(
+                    f"overrides.{name} is for a task that is not in tasks. Nearest: {nearest(name, self.tasks) or self.tasks[0]}."
+                )
         return self
 
     @cached_property
@@ -120,7 +132,12 @@ class Settings(Section):
         )
 
     def _merged(
-        self, model: type[Model], section: str, task: str, override: Mapping[str, Any], given: Mapping[str, Any] | None = None
+        self,
+        model: type[Model],
+        section: str,
+        task: str,
+        override: Mapping[str, Any],
+        given: Mapping[str, Any] | None = None,
     ) -> Model:
         content = merge(getattr(self, section).model_dump(exclude_unset=True), override)
         return validated(model, {**content, **(given or {})}, ("overrides", task, section))
@@ -136,7 +153,9 @@ class Study(Settings):
         "Without variants there is one, `base`, which overrides nothing.",
     )
     report: ReportConfig = Field(ReportConfig(), description="Stage report, one artifact.")
-    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="Where networks run. auto: the GPU, if torch sees one.", json_schema_extra={"key": False})
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="Where networks run. auto: the GPU, if torch sees one.", json_schema_extra={"key": False}
+    )
 
     @field_validator("name")
     @classmethod
@@ -154,12 +173,17 @@ class Study(Settings):
     def resolved(self) -> dict[str, Settings]:
         """Every variant, expanded and merged into the base."""
         base = self.model_dump(exclude_unset=True, exclude=set(Study.model_fields) - set(Settings.model_fields))
-        return {name: self._variant(name, base, override) for name, override in (expanded(self.variants) or {"base": {}}).items()}
+        return {
+            name: self._variant(name, base, override)
+            for name, override in (expanded(self.variants) or {"base": {}}).items()
+        }
 
     def _variant(self, name: str, base: dict[str, Any], override: dict[str, Any]) -> Settings:
         place = ("variants", name)
         if "tasks" in override:
-            raise ConfigError(f"{dotted((*place, 'tasks'))}: the variants of a study share their tasks. Write a study of its own for other tasks.")
+            raise ConfigError(
+                f"{dotted((*place, 'tasks'))}: the variants of a study share their tasks. Write a study of its own for other tasks."
+            )
         settings = validated(Settings, merge(base, override), place, root=Study)
         with _inside(place):
             settings.each_task
@@ -258,5 +282,7 @@ def _distinct(items: tuple[Item, ...]) -> tuple[Item, ...]:
 
 def _path_part(name: str, reserved: tuple[str, ...]) -> str:
     if not NAME.fullmatch(name) or name in reserved:
-        raise ValueError(f"{name!r} becomes a folder: use letters, digits, '.', '_' and '-', and none of {', '.join(reserved)}.")
+        raise ValueError(
+            f"{name!r} becomes a folder: use letters, digits, '.', '_' and '-', and none of {', '.join(reserved)}."
+        )
     return name

@@ -40,7 +40,9 @@ def _lists(value: Any, place: Place = ()) -> Iterator[tuple[Place, list[Any]]]:
         values = value[EXPAND]
         if set(value) != {EXPAND} or not isinstance(values, list) or not values or not place:
             where = ".".join(place) or "the variant"
-            raise ValueError(f"{where}: write {{{EXPAND}: [first, second, ...]}} in place of one value, and nothing beside it")
+            raise ValueError(
+                f"{where}: write {{{EXPAND}: [first, second, ...]}} in place of one value, and nothing beside it"
+            )
         yield place, values
         return
     for name, item in value.items():

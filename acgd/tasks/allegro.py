@@ -100,7 +100,12 @@ def add_hand(spec: mujoco.MjSpec, pos: Vector, quat: Vector, travel: np.ndarray)
             _servo(spec, name, link.limits, 3.0, 0.0, 0.7)
         tip, centre, half = THUMB_TIP if finger == "thumb" else FINGER_TIP
         body.add_geom(
-            name=f"{finger}_tip", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(TIP_RADIUS, half, 0), pos=(0, 0, centre), mass=TIP_MASS, rgba=TIP
+            name=f"{finger}_tip",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=(TIP_RADIUS, half, 0),
+            pos=(0, 0, centre),
+            mass=TIP_MASS,
+            rgba=TIP,
         )
         body.add_site(name=f"{finger}_tip", pos=(0, 0, tip), group=3)
         spec.add_exclude(bodyname1="palm", bodyname2=f"{finger}_0")
@@ -120,6 +125,12 @@ def _box(body, name: str, half: Vector, centre: Vector, mass: float, rgba: Vecto
 def _servo(spec: mujoco.MjSpec, joint: str, limits, kp: float, kv: float, force: float) -> None:
     """Position servo: N/m and N s/m, or N m/rad and N m s/rad; greatest force N or N m."""
     servo = spec.add_actuator(
-        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=limits, ctrllimited=True, forcerange=(-force, force), forcelimited=True
+        name=joint,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        ctrlrange=limits,
+        ctrllimited=True,
+        forcerange=(-force, force),
+        forcelimited=True,
     )
     servo.set_to_position(kp=kp, kv=kv)

@@ -134,16 +134,43 @@ def _build() -> mujoco.MjSpec:
     look = {"rgba": (0.15, 0.5, 0.3, 1), **shadow.OBJECT}
     inside = BODY / 2.0 - RADIUS
     bottle.add_geom(type=capsule, fromto=(-inside, 0, 0, inside, 0, 0), size=(RADIUS, 0, 0), mass=0.15, **look)
-    bottle.add_geom(type=capsule, fromto=(inside, 0, 0, BODY / 2.0 + NECK, 0, 0), size=(NECK_RADIUS, 0, 0), mass=0.02, **look)
+    bottle.add_geom(
+        type=capsule, fromto=(inside, 0, 0, BODY / 2.0 + NECK, 0, 0), size=(NECK_RADIUS, 0, 0), mass=0.02, **look
+    )
     cap = bottle.add_body(name="cap", pos=(CAP_PLACE, 0, 0))
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    cap.add_joint(name="cap", type=slide, axis=(1, 0, 0), limited=True, range=(0, TRAVEL), damping=1.0, frictionloss=2.0, armature=0.01)
+    cap.add_joint(
+        name="cap",
+        type=slide,
+        axis=(1, 0, 0),
+        limited=True,
+        range=(0, TRAVEL),
+        damping=1.0,
+        frictionloss=2.0,
+        armature=0.01,
+    )
     cap.add_joint(name="twist", type=hinge, axis=(1, 0, 0), damping=1e-3, armature=1e-4)
     top = np.array([-CAP / 2.0, 0, 0, CAP / 2.0, 0, 0])
-    cap.add_geom(name="cap", type=cylinder, fromto=top, size=(CAP_RADIUS, 0, 0), mass=0.01, rgba=(0.95, 0.6, 0.1, 1), **shadow.OBJECT)
+    cap.add_geom(
+        name="cap",
+        type=cylinder,
+        fromto=top,
+        size=(CAP_RADIUS, 0, 0),
+        mass=0.01,
+        rgba=(0.95, 0.6, 0.1, 1),
+        **shadow.OBJECT,
+    )
     # what is left of the cork in the neck shows when the cap is off; nothing touches it
     cork = np.array([-TRAVEL, 0, 0, 0, 0, 0])
-    cap.add_geom(type=cylinder, fromto=cork, size=(0.8 * NECK_RADIUS, 0, 0), mass=0, rgba=(1, 0.85, 0.2, 1), contype=0, conaffinity=0)
+    cap.add_geom(
+        type=cylinder,
+        fromto=cork,
+        size=(0.8 * NECK_RADIUS, 0, 0),
+        mass=0,
+        rgba=(1, 0.85, 0.2, 1),
+        contype=0,
+        conaffinity=0,
+    )
     shadow.add_hands(spec, *_hand_places())
     return spec
 

@@ -11,12 +11,12 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.tasks import spray
 from acgd.tasks.bottle import Bottle
 from acgd.tasks.observation import layout, space
 from acgd.tasks.scene import Scene
 from acgd.tasks.scissors import Scissors
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
@@ -41,7 +41,10 @@ truncation: as a termination, staying just short of success would pay better."""
 WEIGHTS = {"solved": 2.0, "failed": -5.0, "effort": -1e-3, "change": -1e-2}
 """Of the terms that all tasks share: solved, failed, and the squares of the action and of its change."""
 
-_BAD = [int(kind) for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
+_BAD = [
+    int(kind)
+    for kind in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
 
 
 class DexterousTask(gymnasium.Env):
@@ -83,7 +86,9 @@ class DexterousTask(gymnasium.Env):
         self._start(None)
         observed = self._observe_state()
         self.state_layout = layout(self._proprio_entries() | self._scene_entries())
-        self.observation_space = space(observed["proprio"].size, observed["state"].size, config.image_size if image else None)
+        self.observation_space = space(
+            observed["proprio"].size, observed["state"].size, config.image_size if image else None
+        )
 
     # -- episode ---------------------------------------------------------------------------------
 
@@ -100,10 +105,14 @@ class DexterousTask(gymnasium.Env):
         """One control step. `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set."""
         action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip takes longer
         if np.isnan(action).any():
-            raise ValueError(f"{self.task.name} was given an action that is not a number: look for the fault in the policy")
+            raise ValueError(
+                f"{self.task.name} was given an action that is not a number: look for the fault in the policy"
+            )
         change = action - self._moving
         self._moving += SMOOTHING * change
-        self.data.ctrl[:] = np.minimum(np.maximum(self.data.ctrl + self.scene.robot.stride * self._moving, self._low), self._high)
+        self.data.ctrl[:] = np.minimum(
+            np.maximum(self.data.ctrl + self.scene.robot.stride * self._moving, self._low), self._high
+        )
         for _ in range(SUBSTEPS):  # second halves first: positions and contacts are up to date afterwards
             mujoco.mj_step2(self.model, self.data)
             mujoco.mj_step1(self.model, self.data)
@@ -134,7 +143,9 @@ class DexterousTask(gymnasium.Env):
         """Go to a snapshot of the same task, and return its observation."""
         expected = mujoco.mj_stateSize(self.model, STATE)
         if snapshot.integration.shape != (expected,):
-            raise ValueError(f"{self.task.name} has states of {expected} numbers, the snapshot {snapshot.integration.size}: it is of another task")
+            raise ValueError(
+                f"{self.task.name} has states of {expected} numbers, the snapshot {snapshot.integration.size}: it is of another task"
+            )
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         mujoco.mj_step1(self.model, self.data)
@@ -157,7 +168,9 @@ class DexterousTask(gymnasium.Env):
         if outside.any():
             at = int(np.flatnonzero(outside)[0])
             name = model.joint(joints[at]).name
-            raise ValueError(f"{self.task.name} starts joint {name} at {position[at]:.3f}, outside [{low[at]:.3f}, {high[at]:.3f}]: narrow its starts")
+            raise ValueError(
+                f"{self.task.name} starts joint {name} at {position[at]:.3f}, outside [{low[at]:.3f}, {high[at]:.3f}]: narrow its starts"
+            )
 
     def _unstable(self) -> bool:
         """Whether MuJoCo met a bad number, upon which it resets itself."""

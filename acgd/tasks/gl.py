@@ -45,7 +45,9 @@ def context():
         made = importlib.import_module(f"mujoco.{name}").GLContext(64, 64)
         made.make_current()
     except Exception as error:
-        raise GraphicsError(explain(f"the OpenGL backend '{name}' does not start ({str(error).rstrip('.')})")) from error
+        raise GraphicsError(
+            explain(f"the OpenGL backend '{name}' does not start ({str(error).rstrip('.')})")
+        ) from error
     return made
 
 

@@ -13,9 +13,9 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.tasks.settings import TaskConfig
 from acgd.tasks import starts
 from acgd.tasks.observation import layout, space
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter

@@ -15,7 +15,10 @@ def layout(entries: dict[str, np.ndarray]) -> dict[str, slice]:
 
 def space(proprio: int, state: int, image_size: int | None) -> gymnasium.spaces.Dict:
     """`proprio` (P,) and `state` (S,) float32, and `image` (H, H, 3) uint8 unless its size is None."""
-    spaces = {name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in (("proprio", proprio), ("state", state))}
+    spaces = {
+        name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        for name, size in (("proprio", proprio), ("state", state))
+    }
     if image_size is not None:
         spaces["image"] = gymnasium.spaces.Box(0, 255, (image_size, image_size, 3), np.uint8)
     return gymnasium.spaces.Dict(spaces)

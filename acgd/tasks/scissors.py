@@ -118,5 +118,7 @@ def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, c
         body.add_geom(size=size, pos=(start + end) / 2.0, quat=quat, mass=0.02, **look)
     for x, y in FEET:
         place = hinge + (x, sign * y, 0.0)
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(HALF, 0, 0), pos=place, mass=0.001, rgba=colour, **shadow.OBJECT)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(HALF, 0, 0), pos=place, mass=0.001, rgba=colour, **shadow.OBJECT
+        )
     body.add_site(name=f"handle/{side}", pos=hinge + np.array(GRIP) * (1.0, sign, 1.0), group=5)

@@ -93,7 +93,12 @@ def add_table(spec: mujoco.MjSpec, half_size: tuple[float, float], height: float
     """A table in the middle of the world, its top `height` metres up."""
     half = height / 2.0
     spec.worldbody.add_geom(
-        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=(*half_size, half), pos=(0, 0, half), rgba=(0.42, 0.33, 0.25, 1), **TABLE
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(*half_size, half),
+        pos=(0, 0, half),
+        rgba=(0.42, 0.33, 0.25, 1),
+        **TABLE,
     )
 
 
@@ -115,7 +120,9 @@ def add_hands(spec: mujoco.MjSpec, right: HandPlace, left: HandPlace) -> None:
 def _add_base_joint(spec: mujoco.MjSpec, base, name: str, i: int) -> None:
     kind, servo = (mujoco.mjtJoint.mjJNT_SLIDE, _SLIDE) if i < 3 else (mujoco.mjtJoint.mjJNT_HINGE, _HINGE)
     reach = servo["reach"]
-    base.add_joint(name=name, type=kind, axis=np.eye(3)[i % 3], range=(-reach, reach), limited=True, armature=servo["armature"])
+    base.add_joint(
+        name=name, type=kind, axis=np.eye(3)[i % 3], range=(-reach, reach), limited=True, armature=servo["armature"]
+    )
     motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.set_to_position(kp=servo["kp"], kv=servo["kv"])
     motor.ctrllimited = motor.forcelimited = True

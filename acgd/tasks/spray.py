@@ -84,7 +84,11 @@ class SprayScene:
         bodies, geoms = _names(model.body, model.geom_bodyid), _names(model.geom, range(model.ngeom))
         neck, trigger = np.isin(geoms, ("neck", "head")), geoms == "trigger"
         thumb = np.char.startswith(bodies, "thumb")
-        finger = np.char.startswith(bodies, "index") | np.char.startswith(bodies, "middle") | np.char.startswith(bodies, "ring")
+        finger = (
+            np.char.startswith(bodies, "index")
+            | np.char.startswith(bodies, "middle")
+            | np.char.startswith(bodies, "ring")
+        )
         self._touch = Touch((thumb, neck), (finger, neck | trigger), (finger, trigger))
 
     def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
@@ -151,7 +155,9 @@ def _names(of, ids) -> np.ndarray:
 def _build(bottle: Bottle) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(TABLE, TABLE, 0.01), rgba=(0.55, 0.47, 0.38, 1))
+    spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(TABLE, TABLE, 0.01), rgba=(0.55, 0.47, 0.38, 1)
+    )
     _add_bottle(spec, bottle)
     height = bottle.shoulder + 0.2 * bottle.trigger
     allegro.add_hand(spec, (-GRASP[2], -GRASP[0], height), PALM, WRIST)
@@ -169,12 +175,28 @@ def _add_bottle(spec: mujoco.MjSpec, bottle: Bottle) -> None:
     blue, yellow, red = (0.16, 0.45, 0.80, 1), (0.95, 0.75, 0.20, 1), (0.90, 0.15, 0.10, 1)
     capsule, box = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(name="body", type=shape, size=size, pos=(0, 0, bottle.half[2]), mass=0.30, rgba=blue)
-    body.add_geom(name="neck", type=capsule, size=(bottle.neck_radius, 0, 0), fromto=(0, 0, bottle.shoulder, 0, 0, top), mass=0.02, rgba=yellow)
+    body.add_geom(
+        name="neck",
+        type=capsule,
+        size=(bottle.neck_radius, 0, 0),
+        fromto=(0, 0, bottle.shoulder, 0, 0, top),
+        mass=0.02,
+        rgba=yellow,
+    )
     body.add_geom(name="head", type=box, size=(0.045, 0.014, 0.012), pos=(0.02, 0, top + 0.012), mass=0.03, rgba=yellow)
     body.add_site(name="neck", pos=(0, 0, bottle.shoulder + 0.5 * bottle.trigger), group=3)
     trigger = body.add_body(name="trigger", pos=(REACH_OUT, 0, top))
     trigger.add_joint(
-        name="trigger", axis=(0, 1, 0), range=(0, TRAVEL), limited=True, stiffness=0.2, springref=-0.15, damping=0.01, armature=1e-4
+        name="trigger",
+        axis=(0, 1, 0),
+        range=(0, TRAVEL),
+        limited=True,
+        stiffness=0.2,
+        springref=-0.15,
+        damping=0.01,
+        armature=1e-4,
     )
-    trigger.add_geom(name="trigger", type=capsule, size=(0.006, 0, 0), fromto=(0, 0, 0, 0, 0, -bottle.trigger), mass=0.01, rgba=red)
+    trigger.add_geom(
+        name="trigger", type=capsule, size=(0.006, 0, 0), fromto=(0, 0, 0, 0, 0, -bottle.trigger), mass=0.01, rgba=red
+    )
     trigger.add_site(name="trigger", pos=(0, 0, -0.6 * bottle.trigger), group=3)

@@ -91,12 +91,24 @@ def _build() -> mujoco.MjSpec:
         switch.add_geom(type=box, size=HOUSING, pos=(0, 0, HOUSING[2]), rgba=(0.16, 0.28, 0.45, 1), **shadow.OBJECT)
         rocker = switch.add_body(name=f"rocker/{side}", pos=PIVOT)
         rocker.add_joint(
-            name=f"rocker/{side}", axis=(0, -1, 0), limited=True, range=(0, OFF), damping=0.02, frictionloss=0.15, armature=0.001
+            name=f"rocker/{side}",
+            axis=(0, -1, 0),
+            limited=True,
+            range=(0, OFF),
+            damping=0.02,
+            frictionloss=0.15,
+            armature=0.001,
         )
         rocker.add_geom(type=box, size=ROCKER, mass=0.05, rgba=(0.9, 0.35, 0.1, 1), **shadow.OBJECT)
         near = (ROCKER[0] / 2.0, ROCKER[1], ROCKER[2])  # sunk in the housing while the switch is off: the picture tells
         rocker.add_geom(
-            type=box, size=np.array(near) + 2e-4, pos=(-near[0], 0, 0), mass=0, rgba=(0.2, 0.9, 0.3, 1), contype=0, conaffinity=0
+            type=box,
+            size=np.array(near) + 2e-4,
+            pos=(-near[0], 0, 0),
+            mass=0,
+            rgba=(0.2, 0.9, 0.3, 1),
+            contype=0,
+            conaffinity=0,
         )
         rocker.add_site(name=f"handle/{side}", pos=HANDLE, group=5)
     ahead, up = (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

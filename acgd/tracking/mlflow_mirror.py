@@ -59,14 +59,23 @@ def sync(results: Path, study: str, artifacts: Sequence[Mirrored], lock_wait_s: 
         results.mkdir(parents=True, exist_ok=True)
         with FileLock(results / "mlflow.lock", timeout=lock_wait_s):
             _refuse_unusable(database, lock_wait_s)
-            manifests = [json.loads((artifact.path / "manifest.json").read_text(encoding="utf-8")) for artifact in artifacts]
+            manifests = [
+                json.loads((artifact.path / "manifest.json").read_text(encoding="utf-8")) for artifact in artifacts
+            ]
             mirror = _Mirror(results, study)
-            return sum(mirror.write(artifact, manifest) for artifact, manifest in zip(artifacts, manifests, strict=True))
+            return sum(
+                mirror.write(artifact, manifest) for artifact, manifest in zip(artifacts, manifests, strict=True)
+            )
     except Timeout:
-        logger.warning("MLflow was not updated: another process has been mirroring for %.0f s. Once it has ended: %s",
-                       lock_wait_s, SYNC_COMMAND)
+        logger.warning(
+            "MLflow was not updated: another process has been mirroring for %.0f s. Once it has ended: %s",
+            lock_wait_s,
+            SYNC_COMMAND,
+        )
     except Exception as error:  # the boundary: a mirror must never fail the job that asked for it
-        logger.warning("MLflow was not updated (%s: %s). %s", type(error).__name__, _first_line(error), _mend(error, database))
+        logger.warning(
+            "MLflow was not updated (%s: %s). %s", type(error).__name__, _first_line(error), _mend(error, database)
+        )
     return None
 
 
@@ -89,8 +98,9 @@ class _Mirror:
             self.client.set_terminated(run.info.run_id, "KILLED")
             self.client.delete_run(run.info.run_id)
         began, ended = _times(artifact.path)
-        run = self.client.create_run(self.experiment.experiment_id, start_time=began, tags=tags,
-                                     run_name=_run_name(manifest, artifact.names))
+        run = self.client.create_run(
+            self.experiment.experiment_id, start_time=began, tags=tags, run_name=_run_name(manifest, artifact.names)
+        )
         run_id = run.info.run_id
         params = [_param(name, value) for name, value in _flatten(manifest["request"])]
         for batch in _batches(params, PARAMS_A_CALL):
@@ -124,7 +134,9 @@ class _Mirror:
         runs: dict[str, list[Run]] = {}
         page = None
         while page is None or page.token:
-            page = self.client.search_runs([self.experiment.experiment_id], max_results=1000, page_token=page and page.token)
+            page = self.client.search_runs(
+                [self.experiment.experiment_id], max_results=1000, page_token=page and page.token
+            )
             for run in page:
                 runs.setdefault(run.data.tags.get("key", ""), []).append(run)
         return runs

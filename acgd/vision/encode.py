@@ -4,12 +4,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from acgd.store.precision import in_bfloat16
-from acgd.store.stage import Context, Inputs
-from acgd.vision.settings import FeaturesConfig, FeaturesRequest
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import write_group
+from acgd.store.precision import in_bfloat16
+from acgd.store.stage import Context, Inputs
 from acgd.vision.backbones import Backbone, load
+from acgd.vision.settings import FeaturesConfig, FeaturesRequest
 
 
 def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:

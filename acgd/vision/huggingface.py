@@ -8,8 +8,8 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from acgd.store.stage import Context, Inputs
-from acgd.vision.settings import BackboneRequest
 from acgd.vision.pretrained import IMAGENET_MEAN, IMAGENET_STD, Preprocess
+from acgd.vision.settings import BackboneRequest
 
 
 class HuggingFaceBackbone(nn.Module):
@@ -38,7 +38,9 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     try:
         model = AutoModel.from_pretrained(path, local_files_only=True, use_safetensors=True)
     except (OSError, ValueError) as error:
-        raise ValueError(f"{path} is no folder of a transformers model with safetensors weights ({error}). Write it with save_pretrained.") from error
+        raise ValueError(
+            f"{path} is no folder of a transformers model with safetensors weights ({error}). Write it with save_pretrained."
+        ) from error
     model = _vision_part(model)
     mean, std = _statistics(path)
     meta = {
@@ -48,7 +50,9 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
         "std": std,
         "model": {**model.config.to_diff_dict(), "model_type": model.config.model_type},
     }
-    HuggingFaceBackbone(model, config.backbone.size, mean, std)  # a model that cannot see images of this size fails here
+    HuggingFaceBackbone(
+        model, config.backbone.size, mean, std
+    )  # a model that cannot see images of this size fails here
     save_file({k: v.contiguous().clone() for k, v in model.state_dict().items()}, ctx.out / "backbone.safetensors")
     (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
 

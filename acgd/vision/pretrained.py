@@ -11,7 +11,9 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 class Preprocess(nn.Module):
     """Images (B, H, W, 3) uint8 -> (B, 3, size, size) float32."""
 
-    def __init__(self, size: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD) -> None:
+    def __init__(
+        self, size: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD
+    ) -> None:
         super().__init__()
         self.size = size
         self.register_buffer("mean", torch.tensor(mean).view(3, 1, 1), persistent=False)

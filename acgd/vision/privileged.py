@@ -16,11 +16,11 @@ from torch.nn import functional as F
 from acgd.store import checkpoint
 from acgd.store.precision import in_bfloat16
 from acgd.store.stage import Context, Inputs
-from acgd.vision.settings import BackboneConfig, BackboneRequest
 from acgd.tasks.spec import TASKS
 from acgd.vision.augmentation import brighten, shift
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.frames import Frames
+from acgd.vision.settings import BackboneConfig, BackboneRequest
 
 WARM_UP = 50
 """Steps over which the learning rate rises."""
@@ -51,7 +51,10 @@ class PrivilegedBackbone(nn.Module):
 def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     """Train, or go on from the checkpoint; write backbone.safetensors and backbone.json."""
     settings = config.backbone
-    frames = [Frames.load(path, TASKS[task.name].privileged, settings.frames, ctx.device) for path, task in zip(inputs["rollouts"], config.tasks)]
+    frames = [
+        Frames.load(path, TASKS[task.name].privileged, settings.frames, ctx.device)
+        for path, task in zip(inputs["rollouts"], config.tasks)
+    ]
     generator = torch.Generator().manual_seed(settings.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
@@ -98,11 +101,16 @@ def _step(
 ) -> Tensor:
     """One update; `step` counts from 1."""
     backbone.train()
-    rate = settings.learning_rate * min(1.0, step / WARM_UP) * 0.5 * (1 + math.cos(math.pi * (step - 1) / settings.steps))
+    rate = (
+        settings.learning_rate * min(1.0, step / WARM_UP) * 0.5 * (1 + math.cos(math.pi * (step - 1) / settings.steps))
+    )
     for group in optimiser.param_groups:
         group["lr"] = rate
     n = max(2, settings.batch // len(frames))
-    drawn = [each.training[torch.randint(len(each.training), (n,), generator=generator).to(each.training.device)] for each in frames]
+    drawn = [
+        each.training[torch.randint(len(each.training), (n,), generator=generator).to(each.training.device)]
+        for each in frames
+    ]
     images = torch.cat([each.images[rows] for each, rows in zip(frames, drawn)])
     moved = None
     if settings.shift:
@@ -130,7 +138,9 @@ def _validate(backbone: PrivilegedBackbone, frames: list[Frames], config: Backbo
         predicted = torch.cat([head(backbone.cnn(each.images[rows])) for rows in each.validation.split(256)])
         error = (predicted - each.targets[each.validation]).square().mean(0)
         rmse = error.sqrt() * each.std
-        found[task.name] = {name: {"r2": r, "rmse": e} for name, r, e in zip(each.names, (1 - error).tolist(), rmse.tolist())}
+        found[task.name] = {
+            name: {"r2": r, "rmse": e} for name, r, e in zip(each.names, (1 - error).tolist(), rmse.tolist())
+        }
     return found
 
 

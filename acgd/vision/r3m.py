@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from acgd.store.key import file_digest
 from acgd.store.stage import Context, Inputs
-from acgd.vision.settings import BackboneRequest
 from acgd.vision.pretrained import Preprocess
 from acgd.vision.resnet import DEPTHS, ResNet
+from acgd.vision.settings import BackboneRequest
 
 PREFIX = "module.convnet."
 
@@ -41,7 +41,9 @@ def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     backbone = R3M(depth_of(weights, path), size)
     missing, unexpected = backbone.convnet.load_state_dict(weights, strict=False)
     if missing or unexpected:
-        raise ValueError(f"{path} is no R3M checkpoint: missing {missing[:3]}, unexpected {unexpected[:3]}. Name the published model.pt.")
+        raise ValueError(
+            f"{path} is no R3M checkpoint: missing {missing[:3]}, unexpected {unexpected[:3]}. Name the published model.pt."
+        )
     save_file({k: v.contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
     meta = {"kind": "r3m", "depth": depth_of(weights, path), "size": size, "source_sha256": file_digest(path)}
     (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
@@ -61,7 +63,9 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
         content = torch.load(path, map_location="cpu", weights_only=True)
         tensors = content["r3m"]
     except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
-        raise ValueError(f"{path} is no R3M checkpoint ({type(error).__name__}: {error}). Name the published model.pt in backbone.path.") from error
+        raise ValueError(
+            f"{path} is no R3M checkpoint ({type(error).__name__}: {error}). Name the published model.pt in backbone.path."
+        ) from error
     return {name.removeprefix(PREFIX): value for name, value in tensors.items() if name.startswith(PREFIX)}
 
 
@@ -72,4 +76,6 @@ def depth_of(weights: dict[str, Tensor], path: Path) -> int:
     for depth, expected in DEPTHS.items():
         if blocks == expected and bottleneck == (depth >= 50):
             return depth
-    raise ValueError(f"{path} holds no ResNet-18, -34 or -50 under {PREFIX}: its layers have {blocks} blocks. Name the published model.pt.")
+    raise ValueError(
+        f"{path} holds no ResNet-18, -34 or -50 under {PREFIX}: its layers have {blocks} blocks. Name the published model.pt."
+    )

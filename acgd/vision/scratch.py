@@ -10,7 +10,9 @@ from acgd.vision.settings import BackboneRequest
 
 def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     """Write backbone.json, so that the choice has an artifact as the others have."""
-    (ctx.out / "backbone.json").write_text(json.dumps({"kind": "scratch", "dim": config.backbone.dim}, sort_keys=True) + "\n")
+    (ctx.out / "backbone.json").write_text(
+        json.dumps({"kind": "scratch", "dim": config.backbone.dim}, sort_keys=True) + "\n"
+    )
 
 
 def load(folder: Path) -> NoReturn:

@@ -1,8 +1,8 @@
 """The stage `backbone`: trained, or converted once from a file that somebody else trained."""
 
 from acgd.store.stage import Context, Inputs
-from acgd.vision.settings import BackboneRequest
 from acgd.vision.backbones import BACKBONES
+from acgd.vision.settings import BackboneRequest
 
 
 def train(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:

@@ -7,8 +7,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from acgd.tasks.settings import TaskConfig
 from acgd.tasks import registry
+from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 from tests.open_loop import SOLUTIONS, follow
 

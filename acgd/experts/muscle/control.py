@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from acgd.experts.settings import DaggerConfig
 from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
+from acgd.experts.settings import DaggerConfig
 from acgd.nn.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
@@ -34,7 +34,9 @@ class MuscleControl:
 
     def __init__(self, env: MyoDexTask, settings: DaggerConfig, detour: Detour | None = None) -> None:
         if env.task.kind not in _ERRORS:
-            raise ValueError(f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.algorithm to ppo or sac")
+            raise ValueError(
+                f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.algorithm to ppo or sac"
+            )
         self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
         self._detour = detour or DETOURS.get(env.task.name)
         self._moment = np.zeros((env.model.nu, env.model.nv))
@@ -49,7 +51,9 @@ class MuscleControl:
         model, data, joints = self._env.model, self._env.data, self._env.hand_qvel
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
-        mujoco.mju_sparse2dense(self._moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        mujoco.mju_sparse2dense(
+            self._moment, data.actuator_moment.ravel(), data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
         active, passive = _forces(model, data)
         damping, arms = model.dof_damping[joints], self._moment[:, joints]
         by_activation = (arms * active[:, None]).T / damping[:, None]

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import cma
 import numpy as np
 
-from acgd.experts.settings import DaggerConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.experts.muscle.detours import CLENCHED, Detour
 from acgd.experts.muscle.control import MuscleControl
+from acgd.experts.muscle.detours import CLENCHED, Detour
+from acgd.experts.settings import DaggerConfig
+from acgd.simulate.seeds import SEEDS
 from acgd.tasks import registry
 from acgd.tasks.myodex import MyoDexTask
-from acgd.simulate.seeds import SEEDS
+from acgd.tasks.settings import TaskConfig
 
 FIRST = {"posture": 0.0, "share": 1.3, "steps": 20.0, "gain": 3.0, "rate": 2.5}
 """Where the search begins: everything bent a third further than the goal asks."""
@@ -39,7 +39,9 @@ class Found:
     """Of the generation's candidates, the mean; less is better."""
 
 
-def search(task: str, settings: DaggerConfig, *, population: int = 16, episodes: int = 8, seed: int = 0) -> Iterator[Found]:
+def search(
+    task: str, settings: DaggerConfig, *, population: int = 16, episodes: int = 8, seed: int = 0
+) -> Iterator[Found]:
     """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same detours."""
     env = registry.make(TaskConfig(name=task), image=False)
     if env.task.kind != "pose":
@@ -73,7 +75,14 @@ def score(env: MyoDexTask, detour: Detour, settings: DaggerConfig, seeds: list[i
 def _vector() -> np.ndarray:
     """FIRST as the search sees it: (P,) of about one size."""
     joints = np.ones(len(CLENCHED))
-    return np.concatenate([FIRST["posture"] * joints, FIRST["share"] * joints, [FIRST["steps"] / 10], np.log([FIRST["gain"], FIRST["rate"]])])
+    return np.concatenate(
+        [
+            FIRST["posture"] * joints,
+            FIRST["share"] * joints,
+            [FIRST["steps"] / 10],
+            np.log([FIRST["gain"], FIRST["rate"]]),
+        ]
+    )
 
 
 def _teacher(vector: np.ndarray, settings: DaggerConfig) -> tuple[Detour, DaggerConfig]:

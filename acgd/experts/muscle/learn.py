@@ -12,14 +12,14 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from acgd.store import checkpoint
-from acgd.store.atomic import replace_file
-from acgd.experts.settings import DaggerConfig, ExpertRequest
 from acgd.experts.curve import Curve
 from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.policy import Expert
+from acgd.experts.settings import DaggerConfig, ExpertRequest
 from acgd.experts.training_env import StateOnly
 from acgd.nn.excitation import excitation
+from acgd.store import checkpoint
+from acgd.store.atomic import replace_file
 
 ACTION_WEIGHT = 0.1
 """Weight of actions beside excitations in the loss: most of the action range is no excitation at all."""
@@ -38,7 +38,12 @@ def train_dagger(
     settings, dagger = config.expert, config.expert.dagger
     envs = [StateOnly(config, i) for i in range(dagger.envs)]
     teachers = [MuscleControl(env.unwrapped, dagger) for env in envs]
-    meta = {"task": config.task.name, "gamma": dagger.gamma, "reward_weights": settings.reward_weights, "algorithm": "dagger"}
+    meta = {
+        "task": config.task.name,
+        "gamma": dagger.gamma,
+        "reward_weights": settings.reward_weights,
+        "algorithm": "dagger",
+    }
     expert = _first(envs[0], dagger, settings.seed, meta).to(device)
     optimiser = torch.optim.Adam(expert.parameters(), lr=dagger.learning_rate, eps=1e-5)
     found = checkpoint.load(state)
@@ -88,7 +93,9 @@ def _first(env: StateOnly, dagger: DaggerConfig, seed: int, meta: dict) -> Exper
     return expert
 
 
-def _round(envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert | None, size: int, seed: list[int]) -> dict[str, Tensor]:
+def _round(
+    envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert | None, size: int, seed: list[int]
+) -> dict[str, Tensor]:
     """`states` (N, S) that `expert` visits, or the teacher if None, and the teacher's `actions` (N, A) in them."""
     rng = np.random.default_rng(seed)
     for i, env in enumerate(envs):
@@ -107,7 +114,15 @@ def _round(envs: list[StateOnly], teachers: list[MuscleControl], expert: Expert 
     return {"states": torch.from_numpy(np.concatenate(states)), "actions": torch.from_numpy(np.concatenate(actions))}
 
 
-def _fit(expert: Expert, optimiser: torch.optim.Optimizer, states: Tensor, actions: Tensor, dagger: DaggerConfig, seed: int, done: int) -> float:
+def _fit(
+    expert: Expert,
+    optimiser: torch.optim.Optimizer,
+    states: Tensor,
+    actions: Tensor,
+    dagger: DaggerConfig,
+    seed: int,
+    done: int,
+) -> float:
     """`epochs` passes over all that is known; the step size falls linearly over the rounds. Returns the last pass's mean loss."""
     for group in optimiser.param_groups:
         group["lr"] = dagger.learning_rate * (1 - done / dagger.rounds)
@@ -119,7 +134,9 @@ def _fit(expert: Expert, optimiser: torch.optim.Optimizer, states: Tensor, actio
         losses = []
         for rows in torch.randperm(len(states), generator=generator).to(states.device).split(dagger.batch):
             mean, _ = expert.network(normal[rows])
-            loss = (excitation(mean) - excitations[rows]).square().mean() + ACTION_WEIGHT * (mean - actions[rows]).square().mean()
+            loss = (excitation(mean) - excitations[rows]).square().mean() + ACTION_WEIGHT * (
+                mean - actions[rows]
+            ).square().mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

@@ -14,13 +14,13 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from acgd.store import checkpoint
-from acgd.store.atomic import replace_file
 from acgd.experts import zoo
-from acgd.experts.settings import ExpertRequest, PPOConfig
 from acgd.experts.curve import Curve
 from acgd.experts.policy import KNOWN_STATES, STATE_CLIP, Expert
+from acgd.experts.settings import ExpertRequest, PPOConfig
 from acgd.experts.training_env import StateOnly
+from acgd.store import checkpoint
+from acgd.store.atomic import replace_file
 from acgd.tracking.metrics import Metrics
 
 
@@ -157,7 +157,11 @@ def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> Non
         tensors[f"{name}.mean"] = torch.as_tensor(np.atleast_1d(rms.mean), dtype=torch.float64)
         tensors[f"{name}.var"] = torch.as_tensor(np.atleast_1d(rms.var), dtype=torch.float64)
         tensors[f"{name}.count"] = torch.tensor([rms.count], dtype=torch.float64)
-    note = {"step": json.dumps(model.num_timesteps), "updates": json.dumps(model._n_updates), "curve": json.dumps(curve)}
+    note = {
+        "step": json.dumps(model.num_timesteps),
+        "updates": json.dumps(model._n_updates),
+        "curve": json.dumps(curve),
+    }
     replace_file(state / "checkpoint.safetensors", lambda draft: save_file(tensors, draft, metadata=note))
 
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from acgd.store import checkpoint
 from acgd.experts import zoo
-from acgd.experts.settings import ExpertRequest, ExpertSettings
 from acgd.experts.curve import Curve
 from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.policy import KNOWN_STATES, Expert
-from acgd.nn.q_ensemble import Critic
 from acgd.experts.sac.replay import Replay
 from acgd.experts.sac.update import SACUpdate
+from acgd.experts.settings import ExpertRequest, ExpertSettings
 from acgd.experts.training_env import StateOnly
+from acgd.nn.q_ensemble import Critic
+from acgd.store import checkpoint
 
 SEGMENT = 10_000
 """Environment steps between restarts of all episodes."""
@@ -39,7 +39,9 @@ def train_sac(
     """
     settings, sac = config.expert, config.expert.sac
     envs = [StateOnly(config, i) for i in range(sac.envs)]
-    teachers = [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start == "dagger" else []
+    teachers = (
+        [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start == "dagger" else []
+    )
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
     learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed), device)
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
@@ -147,7 +149,11 @@ class _Statistics:
     def start_from(self, critic: Critic) -> None:
         """Those that `critic` was learned with, as if KNOWN_STATES states and returns had been seen."""
         std, scale = critic.state_std.double().cpu().numpy(), float(critic.scale)
-        self.count, self.mean, self.square = KNOWN_STATES, critic.state_mean.double().cpu().numpy(), KNOWN_STATES * std**2
+        self.count, self.mean, self.square = (
+            KNOWN_STATES,
+            critic.state_mean.double().cpu().numpy(),
+            KNOWN_STATES * std**2,
+        )
         self.returns[:] = KNOWN_STATES, 0.0, KNOWN_STATES * scale**2
 
     def restart(self, envs: int) -> None:
@@ -185,7 +191,13 @@ def _save(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statisti
     tensors = learner.tensors()
     for name in ("mean", "square", "returns"):
         tensors[f"statistics.{name}"] = torch.from_numpy(getattr(statistics, name))
-    notes = {"done": done, "updates": learner.step, "rows": replay.count, "seen": statistics.count, "curve": curve.points}
+    notes = {
+        "done": done,
+        "updates": learner.step,
+        "rows": replay.count,
+        "seen": statistics.count,
+        "curve": curve.points,
+    }
     checkpoint.save(state, tensors, notes)
 
 

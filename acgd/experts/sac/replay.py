@@ -16,18 +16,37 @@ class Replay:
     keeps the number, and what was written after it is written again.
     """
 
-    def __init__(self, folder: Path, capacity: int, state_dim: int, action_dim: int, n_step: int, gamma: float, envs: int) -> None:
+    def __init__(
+        self, folder: Path, capacity: int, state_dim: int, action_dim: int, n_step: int, gamma: float, envs: int
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._n, self._gamma, self.count = n_step, gamma, 0
         self._open = [deque() for _ in range(envs)]
-        shapes = {"state": (state_dim,), "action": (action_dim,), "reward": (), "next_state": (state_dim,), "discount": ()}
-        self._arrays = {name: self._mapped(folder / f"{name}.f32", (capacity, *shape)) for name, shape in shapes.items()}
+        shapes = {
+            "state": (state_dim,),
+            "action": (action_dim,),
+            "reward": (),
+            "next_state": (state_dim,),
+            "discount": (),
+        }
+        self._arrays = {
+            name: self._mapped(folder / f"{name}.f32", (capacity, *shape)) for name, shape in shapes.items()
+        }
 
     @staticmethod
     def _mapped(path: Path, shape: tuple[int, ...]) -> np.ndarray:
         return np.memmap(path, np.float32, "r+" if path.exists() else "w+", shape=shape)
 
-    def add(self, env: int, state: np.ndarray, action: np.ndarray, reward: float, next_state: np.ndarray, terminated: bool, ended: bool) -> None:
+    def add(
+        self,
+        env: int,
+        state: np.ndarray,
+        action: np.ndarray,
+        reward: float,
+        next_state: np.ndarray,
+        terminated: bool,
+        ended: bool,
+    ) -> None:
         """One step of environment number `env`; `ended` closes its episode."""
         steps = self._open[env]
         steps.append((state.copy(), action.copy(), float(reward)))  # callers reuse their arrays
@@ -50,7 +69,9 @@ class Replay:
             self._arrays[name][self.count] = value
         self.count += 1
 
-    def sample(self, batch: int, newest: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def sample(
+        self, batch: int, newest: int, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """`batch` of the `newest` rows, with replacement: s (B, S), a (B, A), r (B,), s' (B, S), discount (B,)."""
         rows = np.sort(rng.integers(max(0, self.count - newest), self.count, batch))
         return tuple(torch.from_numpy(array[rows]) for array in self._arrays.values())

@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.nn import functional as F
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from acgd.experts.policy import LOG_STD, Expert
+from acgd.experts.settings import SACConfig
+from acgd.nn.q_ensemble import Critic
 from acgd.store import checkpoint
 from acgd.store.precision import in_bfloat16
-from acgd.experts.settings import SACConfig
-from acgd.experts.policy import LOG_STD, Expert
-from acgd.nn.q_ensemble import Critic
 
 FIRST_STD = 0.5
 """Of the first policy."""
@@ -36,7 +36,12 @@ class SACUpdate:
     """
 
     def __init__(
-        self, state_dim: int, action_dim: int, sac: SACConfig, generator: torch.Generator, device: torch.device = torch.device("cpu")
+        self,
+        state_dim: int,
+        action_dim: int,
+        sac: SACConfig,
+        generator: torch.Generator,
+        device: torch.device = torch.device("cpu"),
     ) -> None:
         """Networks live on `device`; `generator` on the processor, so that weights and noise are the same everywhere."""
         self.sac, self.generator, self.device = sac, generator, device
@@ -55,7 +60,11 @@ class SACUpdate:
         if self._half:
             self._networks = {name: copy.deepcopy(network).to(torch.bfloat16) for name, network in masters.items()}
         self._weights = {name: _joined(network) for name, network in masters.items()}
-        self._used = {name: _joined(network) for name, network in self._networks.items()} if self._networks is not masters else {}
+        self._used = (
+            {name: _joined(network) for name, network in self._networks.items()}
+            if self._networks is not masters
+            else {}
+        )
         learned = {name: torch.nn.Parameter(self._weights[name]) for name in ("actor", "critic")}
         self._gradients = {name: _gradients(weights, masters[name]) for name, weights in learned.items()}
         self.optimisers = {
@@ -75,9 +84,13 @@ class SACUpdate:
     def start_from(self, actor: Expert, critic: Critic) -> None:
         """Adopt the policy and the critics of another expert. Raises ValueError where their sizes differ from these."""
         for name, found, here in (("policy", actor, self.actor), ("critics", critic, self.critic)):
-            theirs, ours = ({key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (found, here))
+            theirs, ours = (
+                {key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (found, here)
+            )
             if theirs != ours or (name == "critics" and found.shape != here.shape):
-                raise ValueError(f"the {name} of expert.warm_start have other sizes: choose an expert of the same kind of task, and its expert.sac.width and action_space")
+                raise ValueError(
+                    f"the {name} of expert.warm_start have other sizes: choose an expert of the same kind of task, and its expert.sac.width and action_space"
+                )
         self.actor.load_state_dict(actor.state_dict())
         for network in (self.critic, self.target):
             network.load_state_dict(critic.state_dict())
