@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from acgd import chain
 from acgd.store.store import ArtifactError, Store
-from acgd.store.versions import STAGES
 from acgd.study.load import ConfigError
 
 
@@ -32,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
 
-    for stage in STAGES:
+    for stage in chain.names():
         verb = verbs.add_parser(stage, help=f"make one artifact of the stage {stage} (the workflow calls this)")
         verb.add_argument(
             "request",
@@ -102,13 +102,13 @@ def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
 
 def _make(options: argparse.Namespace) -> None:
     from acgd.store.job import make, read_request
+    from acgd.study.plan import identity
 
     job = read_request(options.request)
     if job["stage"] != options.stage:
-        raise ArtifactError(
-            f"{options.request} asks for the stage {job['stage']}. Type: python -m acgd {job['stage']} {options.request}"
-        )
-    make(job, Store(options.store), options.threads, options.device)
+        right = f"python -m acgd {job['stage']} {options.request}"
+        raise ArtifactError(f"{options.request} asks for the stage {job['stage']}. Type: {right}")
+    make(job, chain.stage(options.stage), identity, Store(options.store), options.threads, options.device)
 
 
 def _verify(options: argparse.Namespace) -> None:

@@ -28,6 +28,10 @@ class Request(Section):
         """Whether this artifact reads a stage that the table of stages marks as optional."""
         return True
 
+    def exists(self) -> bool:
+        """Whether a variant with these settings has such an artifact at all."""
+        return True
+
     def files(self) -> tuple[Path, ...]:
         """Files outside the store that the stage reads. The key holds their content."""
         return ()

@@ -7,44 +7,32 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from importlib import import_module
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acgd.experts import zoo
+from acgd.settings import Request, imported
 from acgd.store.atomic import replace_file
-from acgd.store.key import identity, key_of
-from acgd.store.stage import Context, Inputs
+from acgd.store.key import InputKeys, key_of
+from acgd.store.stage import Context, Inputs, Stage
 from acgd.store.store import ArtifactError, Store, Workspace, check
-from acgd.study.plan import Plan
 
 if TYPE_CHECKING:
     import torch
 
-STAGES: dict[str, tuple[str, str]] = {
-    "expert": ("acgd.experts.settings:ExpertRequest", "acgd.experts.train:train"),
-    "critic": ("acgd.critics.settings:CriticRequest", "acgd.critics.fit:fit"),
-    "rollouts": ("acgd.collection.settings:RolloutsRequest", "acgd.collection.collect:collect"),
-    "backbone": ("acgd.vision.settings:BackboneRequest", "acgd.vision.train:train"),
-    "features": ("acgd.vision.settings:FeaturesRequest", "acgd.vision.encode:encode"),
-    "codebook": ("acgd.students.settings:CodebookRequest", "acgd.students.fit_codebook:fit"),
-    "student": ("acgd.students.settings:StudentRequest", "acgd.students.distil:distil"),
-    "evaluation": ("acgd.evaluation.settings:EvaluationRequest", "acgd.evaluation.evaluate:evaluate"),
-    "controls": ("acgd.evaluation.settings:ControlsRequest", "acgd.evaluation.controls:controls"),
-    "report": ("acgd.reports.settings:ReportRequest", "acgd.reports.report:report"),
-}
-"""Stage -> what it is asked, and the function that answers. Imported only where it runs."""
+    from acgd.study.plan import Artifact
+
+Identify = Callable[[Stage, Request, InputKeys], dict[str, Any]]
+"""(stage, request, keys of the inputs) -> the identity that the key hashes."""
 
 
-def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> None:
+def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store, threads: int, device: str) -> None:
     """Makes the artifact that `job` (Artifact.job) describes, unless it is there."""
-    stage, place = job["stage"], f"{job['stage']}/{job['name']}/{job['key']}"
-    request_type, function = STAGES[stage]
-    request = _imported(request_type).model_validate(job["request"])
-    described = identity(stage, request, _keys(job["inputs"]), zoo.read_by(stage, request))
-    if key_of(described) != job["key"]:
+    place = f"{stage.name}/{job['name']}/{job['key']}"
+    request = imported(stage.request).model_validate(job["request"])
+    identity = identify(stage, request, _keys(job["inputs"]))
+    if key_of(identity) != job["key"]:
         raise ArtifactError(
             f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again."
         )
@@ -56,28 +44,27 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
         _say(place, "going on from its checkpoint" if resumed else "started")
         context = _context(space, threads, device)
         with context.metrics:
-            _imported(function)(request, inputs, context)
-        return {**_usage(started, resumed), **_machine(threads, context.device)}
+            imported(stage.function)(request, inputs, context)
+        return {**_usage(started, resumed), **_machine(threads, context.device), "precision_used": _precision(request, context.device)}
 
-    made = store.make(place, described, fill)
+    made = store.make(place, identity, fill)
     _say(place, f"made in {store.path(place)}" if made else "is there already")
 
 
 def _keys(inputs: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        role: [Path(one).name for one in given] if isinstance(given, list) else Path(given).name
-        for role, given in inputs.items()
+        role: [Path(one).name for one in places] if isinstance(places, list) else Path(places).name
+        for role, places in inputs.items()
     }
 
 
-def _inputs(places: Mapping[str, Any], store: Store) -> Inputs:
+def _inputs(inputs: Mapping[str, Any], store: Store) -> Inputs:
     paths = {
-        role: [store.path(one) for one in given] if isinstance(given, list) else store.path(given)
-        for role, given in places.items()
+        role: [store.path(one) for one in places] if isinstance(places, list) else store.path(places)
+        for role, places in inputs.items()
     }
-    for given in paths.values():
-        for path in given if isinstance(given, list) else [given]:
-            check(path)
+    for path in (one for places in paths.values() for one in (places if isinstance(places, list) else [places])):
+        check(path)
     return paths
 
 
@@ -132,6 +119,28 @@ def _machine(threads: int, device: "torch.device") -> dict[str, Any]:
     }
 
 
+def _precision(request: Request, device: "torch.device") -> str | None:
+    """The precision that the stage computed in, where its settings name one: bfloat16 falls back to float32."""
+    from acgd.store.precision import has_bfloat16
+
+    wanted = set(_values_of("precision", request.model_dump()))
+    if "bfloat16" in wanted:
+        return "bfloat16" if has_bfloat16(device) else "float32"
+    return "float32" if wanted else None
+
+
+def _values_of(name: str, settings: Any) -> Iterable[Any]:
+    """The values of a field wherever it stands in nested settings."""
+    if isinstance(settings, dict):
+        for key, value in settings.items():
+            if key == name:
+                yield value
+            yield from _values_of(name, value)
+    elif isinstance(settings, list | tuple):
+        for value in settings:
+            yield from _values_of(name, value)
+
+
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -142,25 +151,12 @@ def _processor() -> str:
 
 def _revision() -> str | None:
     """Git revision of the code, with a + where files differ from it; none outside a checkout."""
-    command = [
-        "git",
-        "-C",
-        str(Path(__file__).parent),
-        "describe",
-        "--always",
-        "--abbrev=12",
-        "--dirty=+",
-        "--exclude=*",
-    ]
+    folder = str(Path(__file__).parent)
+    command = ["git", "-C", folder, "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-def _imported(name: str) -> Any:
-    module, attribute = name.split(":")
-    return getattr(import_module(module), attribute)
 
 
 def _say(place: str, what: str) -> None:
@@ -173,16 +169,16 @@ def request_file(store: Store, place: str) -> Path:
     return store.work(place) / "request.json"
 
 
-def write_requests(store: Store, plan: Plan) -> None:
-    """A request for each artifact that is not there."""
-    for place, artifact in plan.artifacts.items():
-        if not store.has(place):
-            replace_file(
-                request_file(store, place), lambda draft, text=artifact.job: draft.write_text(text, encoding="utf-8")
-            )
+def write_requests(store: Store, artifacts: "Iterable[Artifact]") -> None:
+    """A request file for each artifact that is not there."""
+    for artifact in artifacts:
+        if not store.has(artifact.place):
+            file, text = request_file(store, artifact.place), artifact.job
+            replace_file(file, lambda draft, text=text: draft.write_text(text, encoding="utf-8"))
 
 
 def read_request(file: Path) -> dict[str, Any]:
+    """The job in a request file. ArtifactError where the file is none."""
     try:
         job = json.loads(file.read_text(encoding="utf-8"))
         missing = {"stage", "name", "key", "request", "inputs"} - set(job)
@@ -190,6 +186,7 @@ def read_request(file: Path) -> dict[str, Any]:
         missing = {"everything"}
     if missing:
         raise ArtifactError(
-            f"{file} is no request: it lacks {', '.join(sorted(missing))}. The workflow writes it: snakemake --cores 2 <target>."
+            f"{file} is no request: it lacks {', '.join(sorted(missing))}. "
+            "The workflow writes it: snakemake --cores 2 <target>."
         )
     return job

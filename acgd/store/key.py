@@ -10,7 +10,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from acgd.store import versions
+from acgd.settings import OUTSIDE_KEY, Request
+from acgd.store.stage import Stage
 
 KEY_LENGTH = 16
 
@@ -23,14 +24,14 @@ def canonical(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def identity(stage: str, request: BaseModel, inputs: InputKeys, files: Iterable[Path] = ()) -> dict[str, Any]:
-    """What is hashed, as JSON. `files` are read by the stage but lie outside the store."""
+def identity(stage: Stage, request: Request, inputs: InputKeys, world: Mapping[str, Any]) -> dict[str, Any]:
+    """What is hashed, as JSON. `world`: what defines the simulated tasks, where the stage simulates or draws them."""
     return {
-        "stage": stage,
-        "version": versions.STAGES[stage],
-        "simulator": versions.simulator(),
+        "stage": stage.name,
+        "version": stage.version,
+        "world": dict(world),
         "request": in_key(request),
-        "files": {path.name: file_digest(path) for path in files},
+        "files": {path.name: file_digest(path) for path in request.files()},
         "inputs": dict(inputs),
     }
 
@@ -43,8 +44,8 @@ def key_of(identity: Mapping[str, Any]) -> str:
 def in_key(value: Any) -> Any:
     """`value` as JSON without what must not change a key.
 
-    Left out are fields declared with `json_schema_extra={"key": False}` (checkpoint and log cadence, worker counts), and a
-    path counts by the content of the file or folder it names, not by its place.
+    Fields declared with `json_schema_extra=OUTSIDE_KEY` are left out. A path counts by the content of the file or folder
+    that it names.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
@@ -83,4 +84,4 @@ def _digest(path: Path, inode: int, size: int, mtime_ns: int) -> str:
 
 
 def _outside_key(extra: Any) -> bool:
-    return isinstance(extra, dict) and extra.get("key") is False
+    return isinstance(extra, dict) and OUTSIDE_KEY.items() <= extra.items()

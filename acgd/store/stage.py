@@ -14,7 +14,22 @@ Inputs = dict[str, "Path | list[Path]"]
 """Role -> directory of a published artifact. A list where the stage reads one artifact per task (in the order of the
 study's tasks), or per round and task (round by round)."""
 
-Axis = Literal["task", "seed", "round", "condition"]
+Axis = Literal["seed", "round", "condition", "task"]
+
+
+@dataclass(frozen=True)
+class Read:
+    """One input of a stage."""
+
+    stage: str
+    """The stage upstream. An axis `task` or `seed` that it has and the reader lacks makes the input a list; of several
+    conditions the first, which is the headline, is read."""
+    role: str = ""
+    """Name of the input; without one, that of the stage."""
+    optional: bool = False
+    """Read only where `Request.uses(stage)`, and where the variant has such artifacts."""
+    rounds: Literal["same", "previous", "so far", "last"] = "same"
+    """Which on-policy rounds of a stage upstream that has rounds, seen from the reader's round."""
 
 
 @dataclass(frozen=True)
@@ -29,18 +44,20 @@ class Stage:
     function: str
     """Import string of `function(request, inputs, context) -> None`, which writes into `context.out`."""
     per: tuple[Axis, ...] = ()
-    """There is one artifact for each value of these axes. Without an axis there is one for all tasks."""
-    reads: tuple[str, ...] = ()
-    """Stages upstream: `name`, or `role=name` where the input has another name; with `?` at the end, only where
-    `Request.uses(name)`. An axis that the stage upstream has and this one lacks makes the input a list."""
-    wanted: bool | str = False
-    """True: every variant has it. A stage's name: every variant that has that stage has it. False: made where it is read."""
+    """There is one artifact for each value of these axes. Without an axis there is one for all tasks and seeds."""
+    reads: tuple[Read, ...] = ()
+    wanted: bool = False
+    """Every variant has it. Otherwise it is made only where another stage reads it."""
+    beside: str = ""
+    """A stage: wherever a variant has that one, it has this one, too."""
+    first_round: int = 0
+    """Of a stage per round."""
     simulates: bool = False
-    """Steps the simulator: its key holds what defines an episode of its tasks, and the simulator's version."""
+    """It steps the simulator: its key holds what defines an episode of its tasks."""
     draws: bool = False
-    """Draws pictures: its key holds what defines a picture of its tasks."""
+    """It draws pictures: its key holds what defines a picture of its tasks."""
     priority: int = 0
-    """The workflow starts jobs of higher priority first."""
+    """The workflow starts jobs of a higher priority first."""
     results: tuple[str, ...] = ()
     """JSON files of its payload whose numbers MLflow shows."""
 

@@ -101,10 +101,12 @@ def mirror(store: Store, plans: Iterable[Plan]) -> None:
     from acgd.tracking.mlflow_mirror import Mirrored, sync
 
     for plan in plans:
-        published = [artifact for artifact in plan.artifacts.values() if store.has(artifact.place)]
-        written = sync(
-            store.results, plan.study, [Mirrored(store.path(one.place), tuple(plan.names_of(one))) for one in published]
-        )
+        published = [
+            Mirrored(store.path(one.place), tuple(plan.names_of(one)), one.stage.results)
+            for one in plan.artifacts.values()
+            if store.has(one.place)
+        ]
+        written = sync(store.results, plan.study, published)
         if written is not None:
             print(f"MLflow, {plan.study}: {len(published)} artifacts, {written} of them new")
 

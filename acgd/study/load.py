@@ -7,7 +7,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -25,6 +26,7 @@ _EXPECTED = {
     "list_type": "should be a list",
     "dict_type": "should be a map",
     "model_type": "should be a map of settings",
+    "union_tag_not_found": "should be a map of settings",
 }
 """Fault of pydantic -> what to say instead of its own words."""
 
@@ -69,11 +71,17 @@ def validated(
 
 
 def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
-    """Maps are merged key by key; everything else, lists included, is replaced."""
+    """Maps are merged key by key; everything else, lists included, is replaced.
+
+    An override that names another kind than the base starts from that kind's defaults: nothing of the base stays.
+    """
     merged = dict(base)
     for name, value in override.items():
-        both_maps = isinstance(value, Mapping) and isinstance(merged.get(name), Mapping)
-        merged[name] = merge(merged[name], value) if both_maps else value
+        before = merged.get(name)
+        both_maps = isinstance(value, Mapping) and isinstance(before, Mapping)
+        if both_maps and "kind" in before and value.get("kind", before["kind"]) != before["kind"]:
+            both_maps = False
+        merged[name] = merge(before, value) if both_maps else value
     return merged
 
 
@@ -110,85 +118,94 @@ def _follows(fault: Mapping[str, Any], inner: Iterable[tuple[str | int, ...]]) -
 
 
 def _explain(model: type[BaseModel], root: type[BaseModel], fault: dict[str, Any], prefix: Sequence[str | int]) -> str:
-    place = [part for part in fault["loc"] if not (isinstance(part, str) and "[" in part)]
+    place, section = _walk(model, fault["loc"])
     where = dotted([*prefix, *place])
     if fault["type"] == "extra_forbidden":
-        return f"{where}: unknown key. {_mend_unknown(model, root, place)}"
+        return f"{where}: unknown key. {_mend_unknown(section, root, place)}"
+    field = section.model_fields.get(str(place[-1])) if section and place else None
     if fault["type"] == "missing":
-        return f"{where}: missing. Add it{_described(model, place)}."
-    message = fault["msg"].removeprefix("Value error, ")
+        described = f": {field.description.rstrip('.')}" if field and field.description else ""
+        return f"{where}: missing. Add it{described}."
+    message, given = fault["msg"].removeprefix("Value error, "), fault.get("input")
     if fault["type"] == "value_error":
         return f"{where}: {message}"
-    given = fault.get("input")
     if fault["type"] == "literal_error":
-        choices = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
-        near = nearest(str(given), choices)
-        return f"{where}: {given!r} is none of {', '.join(choices)}." + (f" Nearest: {near}." if near else "")
+        return f"{where}: {_mend_choice(given, fault['ctx']['expected'])}"
+    if fault["type"] == "union_tag_invalid":
+        return f"{where}.kind: {_mend_choice(fault['ctx']['tag'], fault['ctx']['expected_tags'])}"
     expected = _EXPECTED.get(fault["type"]) or _lower(message)
-    return f"{where}: {expected}, not {_shown(given)}. Mend it, or leave the key out{_default(model, place)}."
+    return f"{where}: {expected}, not {_shown(given)}. Mend it, or leave the key out{_default(field)}."
 
 
-def _mend_unknown(model: type[BaseModel], root: type[BaseModel], place: Sequence[str | int]) -> str:
+def _mend_choice(given: Any, expected: str) -> str:
+    """`expected` lists the choices in single quotes."""
+    choices = re.findall(r"'([^']*)'", expected)
+    near = nearest(str(given), choices)
+    return f"{given!r} is none of {', '.join(choices)}." + (f" Nearest: {near}." if near else "")
+
+
+def _mend_unknown(section: type[BaseModel] | None, root: type[BaseModel], place: Sequence[str | int]) -> str:
     name = str(place[-1])
-    section = _model_at(model, place[:-1])
     known = list(section.model_fields) if section else []
     near = nearest(name, known)
-    elsewhere = [dotted(path) for path in _places(root) if path[-1] == name]
-    if elsewhere and (
-        near is None or difflib.SequenceMatcher(None, name, near).ratio() < 0.8 and not _initials(name, near)
-    ):
-        return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
+    likely = near and (_initials(name, near) or difflib.SequenceMatcher(None, name, near).ratio() >= 0.8)
+    paths = list(_places(root))
+    if not likely:
+        owners = {kind for path, kind in paths if kind and path == (*map(str, place[:-1]), name)}
+        if owners:
+            return f"It belongs to kind {' or '.join(sorted(owners))}. Set {dotted([*place[:-1], 'kind'])}, or remove it."
+        elsewhere = [dotted(path) for path, _ in paths if path[-1] == name]
+        if elsewhere:
+            return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
     if near:
         return f"Nearest: {near}. Rename it, or remove it."
     return f"Known here: {', '.join(known)}. Use one of them, or remove it."
 
 
-def _places(model: type[BaseModel], prefix: tuple[str, ...] = ()) -> Iterable[tuple[str, ...]]:
+def _places(model: type[BaseModel], prefix: tuple[str, ...] = (), kind: str = "") -> Iterable[tuple[tuple[str, ...], str]]:
+    """Where every key stands, with the kind that has it where the section has kinds."""
     for name, field in model.model_fields.items():
-        yield (*prefix, name)
-        inner = as_model(field.annotation)
-        if inner:
-            yield from _places(inner, (*prefix, name))
+        yield (*prefix, name), kind
+        for tag, inner in members(field.annotation).items():
+            yield from _places(inner, (*prefix, name), tag)
 
 
-def _model_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel] | None:
-    """The section that holds the key at `place`."""
+def _walk(model: type[BaseModel], place: Sequence[str | int]) -> tuple[list[str | int], type[BaseModel] | None]:
+    """The place without pydantic's own marks, such as the kind of a section; and the section that holds its last key."""
     current: Any = model
+    section: type[BaseModel] | None = None
+    plain: list[str | int] = []
     for part in place:
-        section = as_model(current)
+        kinds = members(current)
+        if part in kinds and part != "":
+            current = kinds[str(part)]
+            continue
+        if isinstance(part, str) and "[" in part:
+            continue
+        plain.append(part)
+        section = kinds.get("") if kinds else None
         if section is not None and part in section.model_fields:
             current = section.model_fields[part].annotation
         else:
-            arguments = get_args(current)
-            current = (
-                arguments[-1] if arguments and arguments[-1] is not Ellipsis else arguments[0] if arguments else None
-            )
-    return as_model(current)
+            arguments = [one for one in get_args(current) if one is not Ellipsis]
+            current = arguments[-1] if arguments else None
+    return plain, section
 
 
-def as_model(annotation: Any) -> type[BaseModel] | None:
-    """The section that a field holds, if it holds one."""
+def members(annotation: Any) -> dict[str, type[BaseModel]]:
+    """The sections that a field can hold: kind -> section, or "" -> section where there is one; empty for other fields."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
+        return {"": annotation}
     if get_origin(annotation) is Annotated:
-        return as_model(get_args(annotation)[0])
+        tags = [mark.tag for mark in annotation.__metadata__ if isinstance(mark, Tag)]
+        inner = members(get_args(annotation)[0])
+        return {tags[0]: inner[""]} if tags else inner
     if get_origin(annotation) in (Union, UnionType):
-        return next(filter(None, map(as_model, get_args(annotation))), None)
-    return None
+        return {tag: section for one in get_args(annotation) for tag, section in members(one).items()}
+    return {}
 
 
-def _field_at(model: type[BaseModel], place: Sequence[str | int]) -> Any:
-    section = _model_at(model, place[:-1]) if place else None
-    return section.model_fields.get(str(place[-1])) if section else None
-
-
-def _described(model: type[BaseModel], place: Sequence[str | int]) -> str:
-    field = _field_at(model, place)
-    return f": {field.description.rstrip('.')}" if field and field.description else ""
-
-
-def _default(model: type[BaseModel], place: Sequence[str | int]) -> str:
-    field = _field_at(model, place)
+def _default(field: FieldInfo | None) -> str:
     if field is None or field.is_required() or field.default_factory or isinstance(field.default, BaseModel):
         return ""
     return f" for its default, {field.default!r}"

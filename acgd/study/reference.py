@@ -10,31 +10,35 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined, to_jsonable_python
 
-from acgd.study.load import as_model
+from acgd.study.load import members
 from acgd.study.study import Study
 
 HEAD = """# Configuration
 
-Written by `python -m acgd schema` from the models in `acgd/config/`; a test notices when the two differ.
+`python -m acgd schema` writes this page from the settings in `acgd/*/settings.py`; a test notices when the two differ.
 [schema.json](schema.json) is the same for editors: `# yaml-language-server: $schema=docs/schema.json`.
 
 `config.yaml` is the default study, `studies/*.yaml` are others: `snakemake --cores 2 all --configfile studies/<study>.yaml`.
-A key that is left out has its default. Unknown keys are refused. `python -m acgd check` validates every study without running anything.
+A key that is left out has its default. Unknown keys are refused. `python -m acgd check` validates every study and runs nothing.
+
+**Kinds.** `expert`, `critic`, `backbone`, `student` and `guidance` have kinds. Each kind has settings of its own.
 
 **Variants.** `variants:` maps a name to overrides of any section. Maps are merged, lists are replaced.
+An override that names another kind starts from that kind's defaults.
 `{expand: [a, b]}` in place of a value gives one variant for each value, named `<variant>-<key>-<value>`:
 
 ```yaml
 variants:
-  acgd: {student: {guidance: critic}}
-  no-guidance: {student: {guidance: none}}
+  acgd: {guidance: {kind: critic}}
+  no-guidance: {guidance: {kind: none}}
+  bc: {student: {kind: bc}, guidance: {kind: none}}
   demos: {rollouts: {demonstrations: {expand: [10, 30, 100]}}}   # demos-demonstrations-10, ...
 ```
 
-**One task otherwise.** `overrides: {myo/reach: {expert: {source: train}}}`, for the sections `task`, `expert`, `critic` and `rollouts`.
+**One task otherwise.** `overrides: {myo/reach: {expert: {kind: ppo}}}`, for the sections `task`, `expert`, `critic` and `rollouts`.
 
-**What reruns.** The key of an artifact hashes its own sections and the keys upstream. Fields marked † are not hashed: they change
-how an artifact is made, not what it is.
+**What reruns.** The key of an artifact hashes its own sections, the keys upstream, and what defines its tasks. Fields marked †
+are not hashed: they change how an artifact is made, not what it is.
 """
 
 
@@ -49,33 +53,38 @@ def schema() -> str:
 
 
 def markdown() -> str:
-    """A table for the study, and one for each section."""
+    """A table for the study, and one for each section, or for each kind of a section."""
     parts = [HEAD]
-    own = [(name, field) for name, field in Study.model_fields.items() if as_model(field.annotation) is None]
-    parts.append(_table("The study", "", own))
+    plain = [(name, field) for name, field in Study.model_fields.items() if not members(field.annotation)]
+    parts.append(_table("The study", "", plain))
     for name, field in Study.model_fields.items():
-        model = as_model(field.annotation)
-        if model is not None:
-            parts.append(_table(f"`{name}`", f"{field.description} {_first_paragraph(model)}", list(_leaves(model))))
+        kinds = members(field.annotation)
+        if set(kinds) == {""}:
+            parts.append(_table(f"`{name}`", f"{field.description} {_first_paragraph(kinds[''])}", list(_leaves(kinds[""]))))
+        elif kinds:
+            default = field.get_default(call_default_factory=True).kind
+            parts.append(f"## `{name}`\n\n{field.description} Without `kind` it is `{default}`.\n")
+            for kind, model in kinds.items():
+                title = f"`{name}: {{kind: {kind}}}`"
+                parts.append(_table(title, _first_paragraph(model), list(_leaves(model))[1:], level="###"))
     return "\n".join(parts)
 
 
 def _leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
     for name, field in model.model_fields.items():
-        inner = as_model(field.annotation)
-        if inner is not None:
-            yield from _leaves(inner, f"{prefix}{name}.")
+        inner = members(field.annotation)
+        if set(inner) == {""}:
+            yield from _leaves(inner[""], f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", field
 
 
-def _table(title: str, text: str, rows: list[tuple[str, FieldInfo]]) -> str:
+def _table(title: str, text: str, rows: list[tuple[str, FieldInfo]], level: str = "##") -> str:
     lines = [
-        f"## {title}",
+        f"{level} {title}",
         "",
         *([text.strip(), ""] if text.strip() else []),
-        "| key | type | default | |",
-        "|---|---|---|---|",
+        *(["| key | type | default | |", "|---|---|---|---|"] if rows else ["No settings."]),
     ]
     for name, field in rows:
         mark = " †" if isinstance(field.json_schema_extra, dict) and field.json_schema_extra.get("key") is False else ""

@@ -32,9 +32,6 @@ LOCK_WAIT_S = 60.0
 METRICS_A_CALL, PARAMS_A_CALL, LONGEST_VALUE = 1000, 100, 5000
 """MLflow's limits; a longer parameter or tag is cut."""
 FIGURES = (".svg", ".png")
-RESULTS = ("card.json", "quality.json", "health.json", "summary.json")
-"""Files of a payload whose numbers are worth a column; in the others stand settings, which are parameters already."""
-
 
 @dataclass(frozen=True)
 class Mirrored:
@@ -42,6 +39,8 @@ class Mirrored:
 
     path: Path
     names: tuple[str, ...] = ()
+    results: tuple[str, ...] = ()
+    """JSON files of its payload whose numbers are worth a column; in the others stand settings, which are parameters."""
 
 
 def database_uri(results: Path) -> str:
@@ -105,7 +104,7 @@ class _Mirror:
         params = [_param(name, value) for name, value in _flatten(manifest["request"])]
         for batch in _batches(params, PARAMS_A_CALL):
             self.client.log_batch(run_id, params=batch)
-        for batch in _batches(list(_metrics(artifact.path, ended)), METRICS_A_CALL):
+        for batch in _batches(list(_metrics(artifact, ended)), METRICS_A_CALL):
             self.client.log_batch(run_id, metrics=batch)
         for figure in sorted(path for path in artifact.path.rglob("*") if path.suffix in FIGURES):
             folder = figure.parent.relative_to(artifact.path)
@@ -202,16 +201,16 @@ def _times(path: Path) -> tuple[int | None, int | None]:
         return None, None
 
 
-def _metrics(path: Path, ended_ms: int | None) -> Iterator["Metric"]:
+def _metrics(artifact: Mirrored, ended_ms: int | None) -> Iterator["Metric"]:
     """Every curve, then each number among the results as one point, e.g. quality.within_state.mean."""
     from mlflow.entities import Metric
 
     stamp = ended_ms or 0
-    for row in read(path / "metrics.jsonl"):
+    for row in read(artifact.path / "metrics.jsonl"):
         step = row.pop("step")
         for name, value in row.items():
             yield Metric(_allowed(name), value, stamp, step)
-    for file in (path / name for name in RESULTS):
+    for file in (artifact.path / name for name in artifact.results):
         if not file.exists():
             continue
         for name, value in _numbers(json.loads(file.read_text(encoding="utf-8")), file.stem):
