@@ -22,7 +22,7 @@ MOST_MINUTES, MOST_GB = 20.0, 6.0
 LONGEST_PAUSE_S = 60.0
 """Between two stages lie the start of a process and Snakemake's own work. A longer gap is a user who came back later."""
 WORKFLOW_JOBS = {"all", "publish", "mlflow", "report"}
-VARIANT_JOBS = {"student", "evaluation"}
+VARIANT_JOBS = {"student", "evaluation", "clips"}
 """What a variant that changes a student setting runs, besides."""
 
 
@@ -121,7 +121,7 @@ def _jobs(config: Path, results: Path) -> list[Job]:
         raise NotMeasured(
             f"{len(missing)} of {len(needed)} artifacts of study {study.name} are not made yet. Type: make demo"
         )
-    return [_job(artifact.stage, store.path(place) / RUN) for place, artifact in needed.items()]
+    return [_job(artifact.stage.name, store.path(place) / RUN) for place, artifact in needed.items()]
 
 
 def _job(stage: str, file: Path) -> Job:
@@ -132,7 +132,7 @@ def _job(stage: str, file: Path) -> Job:
 def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
     """A dry run of the finished study with another alpha as a further variant."""
     content = read_yaml(config)
-    content["variants"] = {**content.get("variants", {}), "one-more": {"student": {"alpha": 1.2345}}}
+    content["variants"] = {**content.get("variants", {}), "one-more": {"guidance": {"alpha": 1.2345}}}
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
         yaml.safe_dump(content, file, sort_keys=False)
         file.flush()

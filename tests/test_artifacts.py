@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from acgd import chain
 from acgd.store import job
 from acgd.store.store import ArtifactError, Store, check
 from acgd.study import commands, names
 from acgd.study.load import ConfigError
-from acgd.study.plan import plan
+from acgd.study.plan import identity, plan
 from acgd.study.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -71,6 +72,10 @@ def store(tmp_path):
 def made(store):
     store.make(PLACE, IDENTITY, fill_with(weights=b"w" * 10, data__chunk=b"c"))
     return store.path(PLACE)
+
+
+def make(described, store):
+    job.make(described, chain.stage(described["stage"]), identity, store, threads=1, device="cpu")
 
 
 def contents(folder):
@@ -253,7 +258,7 @@ def test_a_damaged_artifact_is_not_read(store, made, damage, said):
 def study(tmp_path, monkeypatch):
     """A plan of one task, in a folder with its configuration, with everything published."""
     monkeypatch.chdir(tmp_path)
-    content = {"name": "t", "tasks": ["myo/reach"], "seeds": [0], "expert": {"source": "train"}}
+    content = {"name": "t", "tasks": ["myo/reach"], "seeds": [0], "expert": {"kind": "ppo"}}
     Path("config.yaml").write_text(json.dumps(content))
     return plan(load_study(content))
 
@@ -316,7 +321,7 @@ def test_a_job_refuses_a_request_that_its_key_does_not_belong_to(store, study):
     described = json.loads(study.names["base/myo-reach/expert"][0].job)
     described["request"]["expert"]["seed"] = 5
     with pytest.raises(ArtifactError, match="has changed since the workflow was started"):
-        job.make(described, store, threads=1, device="cpu")
+        make(described, store)
 
 
 def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store, monkeypatch):
@@ -325,34 +330,33 @@ def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store
         "acgd.experts.train.train", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w")
     )
     monkeypatch.setattr("acgd.critics.fit.fit", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w"))
-    zoos = plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}}))
+    zoos = plan(load_study({"tasks": ["myo/reach"], "critic": {"kind": "zoo"}}))
     warm = plan(
         load_study(
             {
                 "tasks": ["myo/pen-twirl-hard"],
-                "expert": {"source": "train", "algorithm": "sac", "warm_start": "myo/pen-twirl"},
+                "expert": {"kind": "sac", "warm_start": "myo/pen-twirl"},
             }
         )
     )
     made = [zoos.names["base/expert"][0], zoos.names["base/critic"][0], warm.names["base/expert"][0]]
     for artifact in made:
-        job.make(json.loads(artifact.job), store, threads=1, device="cpu")
+        make(json.loads(artifact.job), store)
         check(store.path(artifact.place))
     monkeypatch.setattr("acgd.experts.zoo.fitted_critic", lambda task: (ROOT / "Makefile",))
     assert (
-        plan(load_study({"tasks": ["myo/reach"], "critic": {"source": "zoo"}})).names["base/critic"][0].key
-        != made[1].key
+        plan(load_study({"tasks": ["myo/reach"], "critic": {"kind": "zoo"}})).names["base/critic"][0].key != made[1].key
     )
 
 
 def test_a_job_refuses_damaged_inputs_before_it_starts(store, study):
     expert, critic = study.names["base/expert"][0], study.names["base/critic"][0]
     with pytest.raises(ArtifactError, match="no such artifact"):
-        job.make(json.loads(critic.job), store, threads=1, device="cpu")
+        make(json.loads(critic.job), store)
     store.make(expert.place, IDENTITY, fill_with(weights=b"w"))
     (store.path(expert.place) / "weights").unlink()
     with pytest.raises(ArtifactError, match="weights is missing"):
-        job.make(json.loads(critic.job), store, threads=1, device="cpu")
+        make(json.loads(critic.job), store)
 
 
 def acgd(*arguments, cwd):

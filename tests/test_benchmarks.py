@@ -30,9 +30,9 @@ def test_memory_is_that_of_stages_at_once() -> None:
 def test_a_finished_study_is_measured_and_one_more_variant_runs_only_its_own_stages(tmp_path: Path) -> None:
     content = {
         "name": "toy",
-        "expert": {"source": "train"},
+        "expert": {"kind": "ppo"},
         "seeds": [0, 1],
-        "variants": {"acgd": {}, "plain": {"student": {"guidance": "none"}}},
+        "variants": {"acgd": {}, "plain": {"guidance": {"kind": "none"}}},
     }
     config = tmp_path / "config.yaml"
     config.write_text(yaml.safe_dump(content))
@@ -53,7 +53,7 @@ def test_a_finished_study_is_measured_and_one_more_variant_runs_only_its_own_sta
 
 
 def test_an_unfinished_study_says_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text(yaml.safe_dump({"name": "toy", "expert": {"source": "train"}}))
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump({"name": "toy", "expert": {"kind": "ppo"}}))
     with pytest.raises(study.NotMeasured, match="make demo"):
         study.run(tmp_path / "config.yaml", tmp_path / "results")
 

@@ -135,8 +135,8 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
     """In steps 1-4, before the first checkpoint; in 6-9, after it (in step 5 it is yet to be written); and around the second."""
     artifact = planned.names[name][0]
     folder = without(artifact)
-    write_requests(Store(folder / "results"), planned)
-    job = [artifact.stage, str(request_file(Store(Path("results")), artifact.place)), "--device", "cpu"]
+    write_requests(Store(folder / "results"), {place: one.job for place, one in planned.artifacts.items()})
+    job = [artifact.stage.name, str(request_file(Store(Path("results")), artifact.place)), "--device", "cpu"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     for steps in (random.randint(1, 4), random.randint(6, 9), random.randint(5, 7)):
         run = subprocess.run(

@@ -21,8 +21,8 @@ STUDY = {
     "name": "t",
     "tasks": ["myo/reach", "myo/pose"],
     "seeds": [0, 1],
-    "expert": {"source": "train"},
-    "variants": {"acgd": {"student": {"guidance": "critic"}}, "no-guidance": {"student": {"guidance": "none"}}},
+    "expert": {"kind": "ppo"},
+    "variants": {"acgd": {"guidance": {"kind": "critic"}}, "no-guidance": {"guidance": {"kind": "none"}}},
 }
 PUBLISHING = {"publish": 1, "mlflow": 1}
 
@@ -81,21 +81,9 @@ def finished(tmp_path_factory):
 
 
 def test_a_fresh_study_makes_each_artifact_once(tmp_path):
-    assert jobs(tmp_path, {}) == {
-        **dict(
-            expert=2,
-            critic=2,
-            rollouts=2,
-            backbone=1,
-            features=2,
-            codebook=2,
-            student=4,
-            evaluation=4,
-            controls=1,
-            report=1,
-        ),
-        **PUBLISHING,
-    }
+    per_task = dict(expert=2, card=2, critic=2, quality=2, rollouts=2, features=2)
+    of_students = dict(codebook=2, student=4, evaluation=4, clips=4)
+    assert jobs(tmp_path, {}) == {**per_task, **of_students, "backbone": 1, "controls": 1, "report": 1, **PUBLISHING}
 
 
 def test_a_finished_study_does_nothing(finished):
@@ -105,9 +93,12 @@ def test_a_finished_study_does_nothing(finished):
 @pytest.mark.parametrize(
     "edit, expected",
     [
-        ({"student": {"training": {"learning_rate": 3e-4}}}, dict(student=4, evaluation=4, report=1)),
-        ({"variants": {"gated": {"student": {"gate": "reliable"}}}}, dict(student=2, evaluation=2, report=1)),
-        ({"overrides": {"myo/pose": {"critic": {"width": 64}}}}, dict(critic=1, student=2, evaluation=2, report=1)),
+        ({"training": {"learning_rate": 3e-4}}, dict(student=4, evaluation=4, clips=4, report=1)),
+        ({"variants": {"gated": {"guidance": {"gate": "reliable"}}}}, dict(student=2, evaluation=2, clips=2, report=1)),
+        (
+            {"overrides": {"myo/pose": {"critic": {"width": 64}}}},
+            dict(critic=1, quality=1, student=2, evaluation=2, clips=2, report=1),
+        ),
         ({"report": {"clips": False}}, dict(report=1)),
     ],
     ids=str,
@@ -153,8 +144,6 @@ def test_a_study_takes_the_place_of_the_default_and_the_command_line_changes_it(
     """Without --configfile config.yaml counts; with it, it counts for nothing."""
     (tmp_path / "config.yaml").write_text(json.dumps(STUDY))
     assert "results/t/acgd/seed-5/student" in dry_run(tmp_path, "--config", "seeds=[5]")[1]
-    (tmp_path / "study.json").write_text(
-        json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"source": "train"}})
-    )
+    (tmp_path / "study.json").write_text(json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"kind": "ppo"}}))
     said = dry_run(tmp_path, "--configfile", tmp_path / "study.json")[1]
     assert "results/u/base/seed-0/student" in said and "results/t/" not in said and "results/u/acgd/" not in said

@@ -21,8 +21,6 @@ from acgd.store.store import ArtifactError, Store, Workspace, check
 if TYPE_CHECKING:
     import torch
 
-    from acgd.study.plan import Artifact
-
 Identify = Callable[[Stage, Request, InputKeys], dict[str, Any]]
 """(stage, request, keys of the inputs) -> the identity that the key hashes."""
 
@@ -45,7 +43,11 @@ def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store,
         context = _context(space, threads, device)
         with context.metrics:
             imported(stage.function)(request, inputs, context)
-        return {**_usage(started, resumed), **_machine(threads, context.device), "precision_used": _precision(request, context.device)}
+        return {
+            **_usage(started, resumed),
+            **_machine(threads, context.device),
+            "precision_used": _precision(request, context.device),
+        }
 
     made = store.make(place, identity, fill)
     _say(place, f"made in {store.path(place)}" if made else "is there already")
@@ -169,12 +171,11 @@ def request_file(store: Store, place: str) -> Path:
     return store.work(place) / "request.json"
 
 
-def write_requests(store: Store, artifacts: "Iterable[Artifact]") -> None:
-    """A request file for each artifact that is not there."""
-    for artifact in artifacts:
-        if not store.has(artifact.place):
-            file, text = request_file(store, artifact.place), artifact.job
-            replace_file(file, lambda draft, text=text: draft.write_text(text, encoding="utf-8"))
+def write_requests(store: Store, jobs: Mapping[str, str]) -> None:
+    """A request file for each artifact that is not there. `jobs`: place -> Artifact.job."""
+    for place, job in jobs.items():
+        if not store.has(place):
+            replace_file(request_file(store, place), lambda draft, job=job: draft.write_text(job, encoding="utf-8"))
 
 
 def read_request(file: Path) -> dict[str, Any]:

@@ -153,7 +153,9 @@ def _mend_unknown(section: type[BaseModel] | None, root: type[BaseModel], place:
     if not likely:
         owners = {kind for path, kind in paths if kind and path == (*map(str, place[:-1]), name)}
         if owners:
-            return f"It belongs to kind {' or '.join(sorted(owners))}. Set {dotted([*place[:-1], 'kind'])}, or remove it."
+            return (
+                f"It belongs to kind {' or '.join(sorted(owners))}. Set {dotted([*place[:-1], 'kind'])}, or remove it."
+            )
         elsewhere = [dotted(path) for path, _ in paths if path[-1] == name]
         if elsewhere:
             return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
@@ -162,7 +164,9 @@ def _mend_unknown(section: type[BaseModel] | None, root: type[BaseModel], place:
     return f"Known here: {', '.join(known)}. Use one of them, or remove it."
 
 
-def _places(model: type[BaseModel], prefix: tuple[str, ...] = (), kind: str = "") -> Iterable[tuple[tuple[str, ...], str]]:
+def _places(
+    model: type[BaseModel], prefix: tuple[str, ...] = (), kind: str = ""
+) -> Iterable[tuple[tuple[str, ...], str]]:
     """Where every key stands, with the kind that has it where the section has kinds."""
     for name, field in model.model_fields.items():
         yield (*prefix, name), kind

@@ -43,12 +43,16 @@ class Artifact:
 
     @property
     def input_keys(self) -> dict[str, str | list[str]]:
-        return {role: one.key if isinstance(one, Artifact) else [each.key for each in one] for role, one in self.inputs.items()}
+        return {
+            role: one.key if isinstance(one, Artifact) else [each.key for each in one]
+            for role, one in self.inputs.items()
+        }
 
     @property
     def input_places(self) -> dict[str, str | list[str]]:
         return {
-            role: one.place if isinstance(one, Artifact) else [each.place for each in one] for role, one in self.inputs.items()
+            role: one.place if isinstance(one, Artifact) else [each.place for each in one]
+            for role, one in self.inputs.items()
         }
 
     @property
@@ -160,7 +164,9 @@ class _Variant:
         made, here = self.made.setdefault(stage.name, {}), tuple(at.items())
         if here not in made:
             request = self.request(stage, at)
-            inputs = {read.role or read.stage: given for read in stage.reads if (given := self.input(read, request, at))}
+            inputs = {
+                read.role or read.stage: given for read in stage.reads if (given := self.input(read, request, at))
+            }
             name = request.artifact_name(self.default_name(at))
             made[here] = self.plan.add(Artifact(stage, name, request, inputs))
         return made[here]
@@ -248,7 +254,9 @@ def _report(study: Study, variants: Mapping[str, _Variant]) -> Artifact:
         ReportEntry(
             variant=name,
             seed=seed,
-            artifacts={stage: places(stage, variant.entry(stage, seed)) for stage in chain.STAGES if stage in variant.made},
+            artifacts={
+                stage: places(stage, variant.entry(stage, seed)) for stage in chain.STAGES if stage in variant.made
+            },
         )
         for name, variant in variants.items()
         for seed in variant.settings.seeds

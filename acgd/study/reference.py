@@ -60,7 +60,9 @@ def markdown() -> str:
     for name, field in Study.model_fields.items():
         kinds = members(field.annotation)
         if set(kinds) == {""}:
-            parts.append(_table(f"`{name}`", f"{field.description} {_first_paragraph(kinds[''])}", list(_leaves(kinds[""]))))
+            parts.append(
+                _table(f"`{name}`", f"{field.description} {_first_paragraph(kinds[''])}", list(_leaves(kinds[""])))
+            )
         elif kinds:
             default = field.get_default(call_default_factory=True).kind
             parts.append(f"## `{name}`\n\n{field.description} Without `kind` it is `{default}`.\n")

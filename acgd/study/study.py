@@ -67,7 +67,9 @@ class _Axes(Section):
         min_length=1,
         description="Conditions of the evaluation, one artifact each. The first one is the headline.",
     )
-    rounds: RoundsConfig = Field(RoundsConfig(), description="On-policy rounds: more rollouts, acted by the student itself.")
+    rounds: RoundsConfig = Field(
+        RoundsConfig(), description="On-policy rounds: more rollouts, acted by the student itself."
+    )
     task: TaskDefaults = Field(TaskDefaults(), description="The same for every task; `overrides` has exceptions.")
     overrides: dict[str, TaskOverrides] = Field({}, description="Task name -> what that task does otherwise.")
 
@@ -182,7 +184,9 @@ class Study(Settings):
         place = ("variants", name)
         if "tasks" in override:
             where = dotted((*place, "tasks"))
-            raise ConfigError(f"{where}: the variants of a study share their tasks. Write a study of its own for others.")
+            raise ConfigError(
+                f"{where}: the variants of a study share their tasks. Write a study of its own for others."
+            )
         settings = validated(Settings, merge(base, override), place, root=Study)
         with _inside(place):
             settings.each_task
