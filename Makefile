@@ -1,5 +1,5 @@
 # make demo    the whole chain on the default study, from a fresh clone to its report
-# make test    the test suite
+# make test    ruff and the test suite
 # make bench   speed and memory against their targets
 # make docs    the generated pages of docs/
 # make venv    only the installation, in .venv
@@ -10,6 +10,7 @@ CORES ?= 2
 
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
 INSTALLED := .venv/.installed
+SOURCES := acgd benchmarks tests docs/images
 
 .PHONY: demo test bench docs venv lock system
 
@@ -18,6 +19,8 @@ demo: venv
 	@echo "The report: $(CURDIR)/results/$$(python -c 'import yaml; print(yaml.safe_load(open("config.yaml"))["name"])')/report.html"
 
 test: venv
+	ruff check $(SOURCES)
+	ruff format --check $(SOURCES)
 	python -m pytest tests
 
 bench: venv

@@ -1,18 +1,14 @@
 """The house: no folder imports upwards, and a new kind of student or a new stage is one file and one line."""
 
 import ast
-import os
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 import yaml
+from workflow_runs import ROOT, STUDY, workflow
 
 from acgd import ORDER
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "acgd"
 LIGHT = {"torch", "numpy", "mujoco", "gymnasium", "scipy", "pandas", "zarr", "transformers", "safetensors"}
 
@@ -58,39 +54,12 @@ def test_settings_import_no_simulator_and_no_network_library(file):
     assert not {name.split(".")[0] for name in imports(file)} & LIGHT
 
 
-TOY_STUDENT = '''
-"""A student that knows nothing: one learned action for each task."""
-
-from typing import Literal
-
-import torch
-from acgd.settings import Section
-from torch import nn
-'''
-
-
 @pytest.fixture
 def copy(tmp_path):
     """A copy of the package and the workflow, to be extended."""
     for name in ("acgd", "workflow", "zoo"):
         shutil.copytree(ROOT / name, tmp_path / "copy" / name, ignore=shutil.ignore_patterns("__pycache__"))
     return tmp_path / "copy"
-
-
-def workflow(copy, study, *arguments):
-    """Runs Snakemake with the copied package."""
-    (copy / "study.yaml").write_text(yaml.safe_dump(study, sort_keys=False))
-    command = [str(Path(sys.executable).with_name("snakemake")), "--snakefile", str(copy / "workflow/Snakefile")]
-    environment = {**os.environ, "PYTHONPATH": str(copy)}
-    run = subprocess.run(
-        [*command, "--configfile", str(copy / "study.yaml"), "--cores", "2", *arguments],
-        cwd=copy,
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stdout[-4000:] + run.stderr[-4000:]
-    return run.stdout + run.stderr
 
 
 def insert_line(file, after, line):
@@ -128,10 +97,9 @@ def test_a_toy_stage_is_one_file_and_one_line(copy, finished_miniature):
     insert_line(
         copy / "acgd/chain.py",
         "_TABLE = (",
-        f'    Stage("count", 1, "{place}:CountRequest", "{place}:count", per=("task",), reads=(Read("rollouts"),), wanted=True),',
+        f'    Stage("count", 1, "{place}:CountRequest", "{place}:count", ("task",), (Read("rollouts"),), wanted=True),',
     )
-    study = yaml.safe_load((ROOT / "tests/miniature.yaml").read_text())
-    said = workflow(copy, study, "all")
+    said = workflow(copy, "all", root=copy)
     assert said.count("started\n") == 3, "two counts and the report"
     for task in ("myo-obj-hold", "myo-reach"):
         folder = copy / (copy / f"results/miniature/acgd/{task}/count").read_text().strip()

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from workflow_runs import ROOT, STUDY, snakemake, workflow
 
 from acgd.experts import zoo
 from acgd.store.job import request_file, write_requests
@@ -18,17 +19,6 @@ from acgd.study.load import read_yaml
 from acgd.study.plan import plan
 from acgd.study.study import load_study
 
-ROOT = Path(__file__).parents[1]
-STUDY = ROOT / "tests/miniature.yaml"
-SNAKEMAKE = [
-    str(Path(sys.executable).with_name("snakemake")),
-    "--snakefile",
-    str(ROOT / "workflow/Snakefile"),
-    "--configfile",
-    str(STUDY),
-    "--cores",
-    "2",
-]
 TRAINED = (
     "acgd/myo-reach/critic",
     "acgd/backbone",
@@ -59,12 +49,6 @@ lacking = [task for task in read_yaml(STUDY)["tasks"] if zoo.missing(task)]
 pytestmark = pytest.mark.skipif(bool(lacking), reason=f"zoo/ has no expert for {', '.join(lacking)}")
 
 
-def workflow(folder, *arguments):
-    run = subprocess.run([*SNAKEMAKE, *arguments], cwd=folder, capture_output=True, text=True)
-    assert run.returncode == 0, run.stdout[-5000:] + run.stderr[-5000:]
-    return run.stdout + run.stderr
-
-
 def manifest(folder, place):
     """With it, the checksum of every file."""
     return Store(folder / "results").manifest(place)
@@ -80,11 +64,9 @@ def planned():
     return plan(load_study(read_yaml(STUDY)))
 
 
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("uninterrupted")
-    workflow(folder, "all")
-    return folder
+@pytest.fixture(scope="session")
+def uninterrupted(finished_miniature):
+    return finished_miniature
 
 
 @pytest.fixture
@@ -160,7 +142,7 @@ def test_a_workflow_killed_in_the_middle_goes_on(whole, uninterrupted, without, 
     """Killed alone, Snakemake leaves jobs that go on working; the next workflow waits for them, or finds what they made."""
     folder = without(planned.names["acgd/backbone"][0], planned.names["acgd/seed-0/codebook"][0])
     running = subprocess.Popen(
-        [*SNAKEMAKE, "all"], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        [*snakemake(), "all"], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     while not list((folder / "results/work").glob("codebook/*/*/lock")):
         assert running.poll() is None, "the workflow ended before it was killed"
