@@ -56,7 +56,10 @@ class AggregateCritic(nn.Module):
         self.eval()
 
     def forward(self, state: Tensor, action: Tensor, reference: Tensor, task: Tensor) -> Tensor:
-        """(B, S zero-padded), (B, A) in [-1, 1] twice, (B,) long -> (B,), in spreads of each row's task; 0 where the actions are equal."""
+        """(B, S zero-padded), (B, A) in [-1, 1] twice, (B,) long -> (B,) in spreads of each row's task.
+
+        It is 0 where the actions are equal.
+        """
         order, slot, longest = _grouping(task, self.tasks)
         state, action, reference = (
             _padded(rows[order], slot, self.tasks, longest) for rows in (state, action, reference)
