@@ -74,7 +74,7 @@ def gradient_ratios(student: nn.Module, imitation: Tensor, guidance: Tensor, tas
 
 
 def verdict(names: Sequence[str], guidance: Guidance | None, ratios: Sequence[float]) -> dict[str, Any]:
-    """For student.json: per task, the gate used, the mean ratio of gradient norms, and whether that counts as guidance."""
+    """For student.json: per task its gate, the mean ratio of gradient norms, and whether that counts as guidance."""
     if guidance is None:
         return {}
     return {

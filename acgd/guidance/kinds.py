@@ -1,4 +1,7 @@
-"""All kinds of guidance: one line and one folder each. The code is `load(settings, inputs, chunk=, device=) -> Guidance | None`."""
+"""All kinds of guidance: one line and one folder each.
+
+The code is a function `load(settings, inputs, chunk=, device=) -> Guidance | None`, see acgd/guidance/guidance.py.
+"""
 
 from acgd.settings import Kind
 

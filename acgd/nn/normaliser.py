@@ -19,7 +19,7 @@ class Normaliser(nn.Module):
         self.register_buffer("std", torch.ones(size))
 
     def fit(self, x: Tensor) -> None:
-        """x (N, size). Spreads far below the typical one are raised to a twentieth of it, so that no rounding error is amplified."""
+        """x (N, size). Spreads far below the typical one are raised to a twentieth of it, against rounding."""
         self.mean.copy_(x.mean(0))
         std = x.std(0) if len(x) > 1 else torch.ones_like(self.std)
         self.std.copy_(std.clamp(min=max(0.05 * std.median().item(), 1e-6)))

@@ -81,10 +81,10 @@ class Data:
         device: torch.device,
         onpolicy_labels: str = "expert",
     ) -> "Data":
-        """Reads `rollouts` and `onpolicy` of the inputs, with `features` and `onpolicy_features`, or without them the images.
+        """Reads the inputs `rollouts` and `onpolicy`, with `features` and `onpolicy_features`, or else the images.
 
-        `states`: also read the privileged states, for guidance. `onpolicy_labels`: `expert`, or `none`, where the action
-        of an on-policy window is the executed one and its weight 0.
+        `states`: read the privileged states too, for guidance. `onpolicy_labels`: expert, or none; with none the action
+        of an on-policy window is the executed one, and its weight is 0.
         """
         label, labelled = ("mean_action", 1.0) if onpolicy_labels == "expert" else ("action", 0.0)
         tasks = len(inputs["rollouts"])

@@ -1,8 +1,9 @@
 """The stage `student`: L = alpha L_BC + gate_i L_distill, divided by alpha, for any kind of student and of guidance.
 
-Divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it. In round 0 it
-learns from demonstrations; in round r it goes on from the weights of round r - 1 with the on-policy rollouts of all rounds
-so far, and keeps normalisers and codebook.
+The loss is divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it.
+
+In round 0 the student learns from demonstrations. In round r it goes on from the weights of round r - 1 with the
+on-policy rollouts of all rounds so far, and keeps its normalisers and codebook.
 """
 
 import torch

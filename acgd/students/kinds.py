@@ -1,4 +1,4 @@
-"""All kinds of student: one line and one folder each. The code is a class with the interface of `acgd.students.student.Student`."""
+"""All kinds of student: one line and one folder each. The code is a class like `Student` in student.py."""
 
 from acgd.settings import Kind
 

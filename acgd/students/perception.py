@@ -24,7 +24,8 @@ class Perception:
             return None
         if images is None:
             raise ValueError(
-                "this student was trained with a goal image: give goal images, or train one with imitation.goal_image: off"
+                "this student was trained with a goal image: give goal images, "
+                "or train one with imitation.goal_image: off"
             )
         return self.see(images).cpu().numpy()
 

@@ -1,4 +1,4 @@
-"""Settings of imitation, of the students, of on-policy rounds and of acting; the requests of the stages codebook and student."""
+"""Settings of imitation, students, on-policy rounds and acting; the requests of the stages codebook and student."""
 
 from typing import Annotated, Literal
 
@@ -11,7 +11,7 @@ from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
 
 StudentConfig = one_of(STUDENTS, default="acgd")
-"""Settings of one kind. `needs`: stages that it reads besides rollouts, features and backbone. `chunk`, `history`: steps."""
+"""Settings of one kind. `needs`: optional stages that it reads. `chunk`, `history`: actions and states in a window."""
 
 
 class ImitationConfig(Section):
@@ -51,7 +51,7 @@ class RoundsConfig(Section):
     )
     labels: Literal["expert", "none"] = Field(
         "expert",
-        description="expert: imitate the expert's mean in the visited states (DAgger). none: only guidance trains on them",
+        description="expert: imitate the expert's mean in visited states (DAgger); none: guidance alone trains on them",
     )
     steps: int = Field(1000, ge=1, description="optimiser steps of each round, in place of training.steps")
 

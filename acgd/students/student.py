@@ -58,7 +58,7 @@ class Student(Protocol):
         """Before each round: targets of every window, name -> (N, ...), which batches then hold."""
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """One training step. `guided`: windows for which a proposal is wanted. `noise`: standard deviation on the inputs.
+        """One training step. `guided`: how many first windows need a proposal. `noise`: of the inputs.
 
         Generators: `data` for the noise; `sample` for the student's samples of proposals, so that a guided and an
         unguided student of one seed see the same batches.

@@ -26,7 +26,7 @@ class Best:
 
 
 def log_every(steps: int) -> int:
-    """Steps between rows of metrics: ten rows at least, and one each hundred steps. Not a setting, for rows are payload."""
+    """Steps between rows of metrics, at most 100, less in short runs. It is no setting: the rows are payload."""
     return max(1, min(100, steps // 10))
 
 
@@ -63,8 +63,8 @@ def train(
 ) -> Best:
     """Trains in place and returns the best weights; those of the last step are in the model.
 
-    `validate` returns scores; the least of the one named by `chosen_by` is the best. `generators` are the only sources of
-    randomness and `tally` is whatever `step_loss` accumulates: all are checkpointed, so that a resumed run equals an
+    `validate` returns scores; the least of the one named by `chosen_by` is the best. `generators` are the only sources
+    of randomness, and `tally` holds the sums that `step_loss` keeps. All are checkpointed, so that a resumed run equals an
     uninterrupted one bit for bit.
     """
     optimiser = adamw(model, config)

@@ -23,7 +23,7 @@ class TrainingConfig(Section):
     )
     input_noise: NonNegative = Field(
         0.03,
-        description="standard deviation of Gaussian noise on the normalised image features and proprioception in training",
+        description="standard deviation of Gaussian noise on normalised image features and proprioception in training",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         "float32",

@@ -1,4 +1,4 @@
-"""All kinds of backbone: one line and one folder each. The code is a class with `make(settings, inputs, ctx)` and `load(folder)`."""
+"""All kinds of backbone: one line and one folder each. The code is a class like `Backbone` in backbones.py."""
 
 from acgd.settings import Kind
 

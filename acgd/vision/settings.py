@@ -8,7 +8,7 @@ from acgd.settings import Request, Section, one_of
 from acgd.vision.kinds import BACKBONES
 
 BackboneConfig = one_of(BACKBONES, default="privileged")
-"""Settings of one kind. `needs`: stages that its training reads. `gives_features`: frames are encoded once and stored."""
+"""Settings of one kind. `needs`: optional stages that it reads. `gives_features`: whether it encodes frames."""
 
 
 class BackboneRequest(Request):
@@ -30,7 +30,7 @@ class FeaturesConfig(Section):
 
     precision: Literal["float32", "bfloat16"] = Field(
         "float32",
-        description="Arithmetic of the backbone, bfloat16 only where the hardware has it; features are stored as float32.",
+        description="Arithmetic of the backbone; bfloat16 is float32 where the hardware lacks it. Stored as float32.",
     )
     batch: int = Field(256, ge=1, description="Frames in one pass.")
 

@@ -83,10 +83,10 @@ def rank_intervals(qualities: Sequence[Path]) -> list[float | None]:
 
 
 def distill(gain: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
-    """L_distill = - sum_j m_j w_j (Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i, a weighted mean over valid steps.
+    """L_distill = - sum_j m_j w_j (Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i.
 
-    gain (n, k) in spreads of the row's task, mask (n, k), weights (k,) -> (n,). The paper's has no Q of the demonstrated
-    action a, a constant.
+    The sum is a weighted mean over valid steps. gain (n, k) in spreads of the row's task, mask (n, k), weights (k,)
+    -> (n,). The paper's loss has no Q of the demonstrated action a, a constant.
     """
     return -over_valid_steps(gain, mask, weights)
 

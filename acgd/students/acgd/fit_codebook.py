@@ -100,7 +100,10 @@ def reconstruction(codebook: Codebook, data: Data, steps: Tensor) -> dict[str, f
 
 
 def health(codebook: Codebook, data: Data) -> dict:
-    """Is the codebook used, and by the decoder? A shuffled error like the plain one means that the decoder ignores z_q."""
+    """Whether codes are in use, and whether the decoder uses them.
+
+    A shuffled error as small as the plain one means that the decoder ignores z_q.
+    """
     windows = data.windows
     codes = codebook.codes_of(windows)[windows.training]
     perplexity = quantizer.perplexity(codes, codebook.settings.codes).tolist()

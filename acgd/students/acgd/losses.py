@@ -1,4 +1,4 @@
-"""The losses of the codebook and of imitation (Sections III-A, III-C), a value per window (B,), to be averaged by the caller.
+"""The losses of codebook and imitation (Sections III-A, III-C), a value per window (B,), to be averaged by the caller.
 
 Norms are sums over components, as in the paper, and means over the chunk's valid steps, so that their balance does not
 change with the length of the chunk.
@@ -28,7 +28,7 @@ def code(logits: Tensor, onehot: Tensor) -> Tensor:
 
 
 def usage(logits: Tensor) -> Tensor:
-    """How far the batch's mean code usage is from uniform, in nats: log n_c - H(mean sigma(z_e)), mean over groups -> ().
+    """Distance of the mean code usage from uniform, in nats: log n_c - H(mean sigma(z_e)), mean over groups -> ().
 
     Not in the paper, where nothing keeps the codes in use.
     """

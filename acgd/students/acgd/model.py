@@ -1,4 +1,4 @@
-"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec; of these the codebook (a) and the student (b).
+"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec; of these, codebook (a) and student (b).
 
 B windows; k actions of A components in a chunk; G groups of n_c codes; d the width of every embedding. The quantizer C
 and its z_q are in quantizer.py, the losses in losses.py.

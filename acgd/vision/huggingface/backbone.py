@@ -14,7 +14,7 @@ from acgd.vision.pretrained import IMAGENET_MEAN, IMAGENET_STD, Preprocess
 
 
 class HuggingFace(nn.Module):
-    """Images (B, H, W, 3) uint8 -> (B, dim): the model's pooled output, else the mean over its tokens or feature map."""
+    """Images (B, H, W, 3) uint8 -> (B, dim): the model's pooled output, else the mean of its tokens or feature map."""
 
     def __init__(self, model: nn.Module, size: int, mean: list[float], std: list[float]) -> None:
         super().__init__()
@@ -32,7 +32,7 @@ class HuggingFace(nn.Module):
 
     @classmethod
     def make(cls, settings: HuggingFaceConfig, inputs: Inputs, ctx: Context) -> None:
-        """Copy the vision part into the artifact: backbone.safetensors, and backbone.json with the model's configuration."""
+        """Copy the vision part: backbone.safetensors, and backbone.json with the model's configuration."""
         from transformers import AutoModel
 
         path = settings.path

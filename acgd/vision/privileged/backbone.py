@@ -29,7 +29,7 @@ VALIDATE_EVERY = 500
 
 
 class Privileged(nn.Module):
-    """SmallCNN and one linear head per task. Its features are the CNN's and all heads' outputs, in standard deviations."""
+    """SmallCNN and one linear head per task. Its features are the outputs of CNN and heads, in standard deviations."""
 
     def __init__(self, dim: int, targets: list[int]) -> None:
         super().__init__()
