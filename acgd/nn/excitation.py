@@ -1,5 +1,7 @@
 """Muscle excitation: what MyoSuite makes of an action before it reaches the muscles."""
 
+from typing import Literal
+
 from torch import Tensor
 
 LOWEST = 1 / (1 + 2.718281828459045**7.5)
@@ -16,6 +18,6 @@ def excitation(action: Tensor) -> Tensor:
     return 2 * (u - LOWEST) / (HIGHEST - LOWEST) - 1
 
 
-def measured(action: Tensor, space: str) -> Tensor:
-    """Actions in the space `raw` or `excitation`, in which they are encoded and compared."""
+def in_action_space(action: Tensor, space: Literal["raw", "excitation"]) -> Tensor:
+    """Actions in the space in which a student encodes and compares them."""
     return excitation(action) if space == "excitation" else action

@@ -64,8 +64,10 @@ class Demonstrations:
     def split(
         self, validation_fraction: float = VALIDATION_FRACTION, seed: int = SPLIT_SEED
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Training and validation episodes, each sorted. Both are non-empty when there are two episodes or more."""
+        """Training and validation episodes, each sorted, and neither empty: a single episode is in both."""
         episodes = len(self.episode_ends)
+        if episodes == 1:
+            return np.zeros(1, np.int64), np.zeros(1, np.int64)
         held_out = min(max(round(validation_fraction * episodes), 1), episodes - 1)
         order = np.random.default_rng(seed).permutation(episodes)
         return np.sort(order[held_out:]), np.sort(order[:held_out])

@@ -1,19 +1,36 @@
-"""Demonstrations as tensors, and balanced batches of windows from them."""
+"""Rollouts as tensors, and balanced batches of windows from them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from acgd.guidance.guidance import Reference
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group
 from acgd.rollouts.windows import Windows
-from acgd.students.observer import Observation
-from acgd.students.settings import CodebookConfig
+from acgd.store.stage import Inputs
+from acgd.students.settings import ImitationConfig
 
 LABELS = {"mean": "mean_action", "executed": "action"}
+"""Setting `imitation.label` -> array of the store."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """All that a student may read. The privileged state is no part of it."""
+
+    vision: Tensor
+    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images where the student owns its CNN."""
+    goal: Tensor | None
+    """The same for the goal image o_T."""
+    proprio: Tensor
+    """(B, h, P), oldest first; the last row is the current one."""
+    task: Tensor
+    """(B,) long, index in the study's list of tasks."""
 
 
 @dataclass(frozen=True)
@@ -26,55 +43,85 @@ class Batch:
     """(B, k, A) labels a_{t:t+k}; past the episode's end its last label repeats."""
     mask: Tensor
     """(B, k) true on steps inside the episode."""
+    weight: Tensor
+    """(B,) of the imitation loss: 0 where a window has no label, else 1."""
+    targets: dict[str, Tensor]
+    """Name -> (B, ...): what the kind of student has computed for each window."""
 
 
 @dataclass(frozen=True)
 class Data:
-    """Windows over the demonstrations of every task, with vision as features, or as images where the student owns its CNN."""
+    """Windows over the rollouts of every task, with vision as features, or as images where the student owns its CNN.
+
+    Steps: `vision`, `proprio`, `label`, `weight` and, for guidance, `state`. Episodes: `goal`.
+    """
 
     windows: Windows
     by_task: list[Tensor]
     """Training steps of each task."""
     goals: list[Tensor]
-    """Training episodes of each task."""
+    """Training episodes of each task whose last image may be a goal: demonstrations, which all succeeded."""
+    demonstrated: Tensor
+    """(K,) bool: episodes that are demonstrations, not on-policy episodes."""
     goal_image: str
     k: int
     h: int
+    targets: dict[str, Tensor] = field(default_factory=dict)
+    """Name -> (N, ...), see Batch."""
 
     @classmethod
     def load(
         cls,
-        rollouts: Sequence[Path],
-        features: Sequence[Path] | None,
-        config: CodebookConfig,
+        inputs: Inputs,
+        imitation: ImitationConfig,
+        *,
+        chunk: int,
+        history: int,
         states: bool,
         device: torch.device,
+        onpolicy_labels: str = "expert",
     ) -> "Data":
-        """`features` None: read the images. `states`: also read the privileged states, for the critic."""
-        label = LABELS[config.label]
-        names = (
-            ["proprio", label] + (["state"] if states else []) + (["image", "final_image"] if features is None else [])
-        )
-        demonstrations = [Demonstrations.load(directory, names) for directory in rollouts]
-        steps, episodes = [], []
-        for index, demo in enumerate(demonstrations):
-            seen = (
-                demo.arrays
-                if features is None
-                else read_group(Path(features[index]) / "features.zarr", ["image", "final_image"])
-            )
-            step = {"vision": seen["image"], "proprio": demo.arrays["proprio"], "label": demo.arrays[label]}
-            steps.append(step | ({"state": demo.arrays["state"]} if states else {}))
-            episodes.append({"goal": seen["final_image"]})
-        return cls.of(Windows.join(demonstrations, steps, episodes, device), config)
+        """Reads the inputs `rollouts` and `onpolicy`, with `features` and `onpolicy_features`, or else the images.
+
+        `states`: read the privileged states too, for guidance. `onpolicy_labels`: expert, or none; with none the action
+        of an on-policy window is the executed one, and its weight is 0.
+        """
+        label, labelled = ("mean_action", 1.0) if onpolicy_labels == "expert" else ("action", 0.0)
+        tasks = len(inputs["rollouts"])
+        episodes = [
+            _read(rollouts, features, LABELS[imitation.label], weight=1.0, states=states)
+            for rollouts, features in _pairs(inputs, "rollouts", "features")
+        ] + [
+            _read(rollouts, features, label, weight=labelled, states=states)
+            for rollouts, features in _pairs(inputs, "onpolicy", "onpolicy_features")
+        ]
+        demonstrations, per_step, per_episode = zip(*episodes)
+        windows = Windows.join(demonstrations, per_step, per_episode, device)
+        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated=windows.episode_task < tasks)
 
     @classmethod
-    def of(cls, windows: Windows, config: CodebookConfig) -> "Data":
-        """Over windows with the steps `vision`, `proprio`, `label` and, for the critic, `state`, and the episodes' `goal`."""
+    def of(
+        cls, windows: Windows, imitation: ImitationConfig, chunk: int, history: int, demonstrated: Tensor | None = None
+    ) -> "Data":
+        """Over windows; without `demonstrated` (K,) all their episodes are demonstrations."""
+        if demonstrated is None:
+            demonstrated = torch.ones_like(windows.episode_task, dtype=torch.bool)
         tasks = int(windows.episode_task.max()) + 1
         by_task = [windows.training[windows.task[windows.training] == task] for task in range(tasks)]
-        goals = [windows.episode[steps].unique() for steps in by_task]
-        return cls(windows, by_task, goals, config.goal_image, config.chunk, config.history)
+        episodes = [windows.episode[steps].unique() for steps in by_task]
+        return cls(
+            windows=windows,
+            by_task=by_task,
+            goals=[of_task[demonstrated[of_task]] for of_task in episodes],
+            demonstrated=demonstrated,
+            goal_image=imitation.goal_image,
+            k=chunk,
+            h=history,
+        )
+
+    def with_targets(self, targets: dict[str, Tensor]) -> "Data":
+        """The same, whose batches hold the kind's targets."""
+        return replace(self, targets=targets)
 
     def sample(self, n: int, generator: torch.Generator) -> Tensor:
         """n training steps, task by task in turn, so that any first rows of a batch are balanced too -> (n,)."""
@@ -91,21 +138,66 @@ class Data:
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
         proprio = windows.history_of("proprio", t, self.h - 1)
-        return Batch(
-            t, Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task), chunk, mask
-        )
+        observation = Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task)
+        targets = {name: value[t] for name, value in self.targets.items()}
+        return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 
-    def states(self, t: Tensor) -> Tensor:
-        """Privileged states s_{t+j} under each step of the chunk, for the critic alone, (B, k, S)."""
-        return self.windows.chunk_of("state", t, self.k)[0]
+    def reference(self, batch: Batch, n: int | None = None) -> Reference:
+        """What guidance sees of the first n windows of a batch."""
+        states, _ = self.windows.chunk_of("state", batch.t[:n], self.k)
+        return Reference(states, batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
 
     def _goal(self, t: Tensor, task: Tensor, generator: torch.Generator) -> Tensor | None:
+        """Any training goal of the task, or the episode's own. On-policy episodes may have failed: they have none."""
         if self.goal_image == "off":
             return None
         episode = self.windows.episode[t]
-        if self.goal_image == "any":
+        own = self.demonstrated[episode]
+        if self.goal_image == "any" or not own.all():
             share = torch.rand(len(t), generator=generator, device=t.device)
             counts = torch.tensor([len(goals) for goals in self.goals], device=t.device)
             offsets = counts.cumsum(0) - counts
-            episode = torch.cat(self.goals)[offsets[task] + (share * counts[task]).long()]
+            drawn = torch.cat(self.goals)[offsets[task] + (share * counts[task]).long()]
+            episode = drawn if self.goal_image == "any" else torch.where(own, episode, drawn)
         return self.windows.episodes["goal"][episode]
+
+
+def _pairs(inputs: Inputs, rollouts: str, features: str) -> list[tuple[Path, Path | None]]:
+    """Rollouts with their features, None where there are no features; nothing where the role is absent."""
+    paths = inputs.get(rollouts, [])
+    return list(zip(paths, inputs.get(features) or [None] * len(paths), strict=True))
+
+
+def _read(
+    rollouts: Path, features: Path | None, label: str, *, weight: float, states: bool
+) -> tuple[Demonstrations, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]:
+    """One artifact: its episodes, and the arrays of its steps and of its episodes that Data joins."""
+    names = ["proprio", label, *(["state"] if states else [])]
+    episodes = Demonstrations.load(rollouts, names + (["image", "final_image"] if features is None else []))
+    seen = (
+        episodes.arrays if features is None else read_group(Path(features) / "features.zarr", ["image", "final_image"])
+    )
+    steps = {
+        "vision": seen["image"],
+        "proprio": episodes.arrays["proprio"],
+        "label": episodes.arrays[label],
+        "weight": np.full(len(episodes.arrays["proprio"]), weight, np.float32),
+    }
+    if states:
+        steps["state"] = episodes.arrays["state"]
+    return episodes, steps, {"goal": seen["final_image"]}
+
+
+def _by_task(windows: Windows, tasks: int) -> Windows:
+    """Windows joined from demonstrations of each task and then rollouts round by round, numbered by task.
+
+    All on-policy steps are for training: validation stays that of the demonstrations.
+    """
+    onpolicy = windows.task[windows.validation] >= tasks
+    return replace(
+        windows,
+        task=windows.task % tasks,
+        episode_task=windows.episode_task % tasks,
+        training=torch.cat([windows.training, windows.validation[onpolicy]]),
+        validation=windows.validation[~onpolicy],
+    )

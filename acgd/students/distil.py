@@ -1,148 +1,130 @@
-"""The stage `student`, (b) of Figure 2: L = alpha (L_lat + L_act) + gate_i L_distill, with phi_act and the codes frozen.
+"""The stage `student`: L = alpha L_BC + gate_i L_distill, divided by alpha, for any kind of student and of guidance.
 
-Divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it.
+The loss is divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it.
+
+In round 0 the student learns from demonstrations. In round r it goes on from the weights of round r - 1 with the
+on-policy rollouts of all rounds so far, and keeps its normalisers and codebook.
 """
 
 import torch
+from safetensors.torch import load_file
 from torch import Tensor
 
-from acgd.critics.aggregate import AggregateCritic
-from acgd.nn.q_ensemble import Critic
+from acgd.guidance.guidance import Guidance, gradient_ratios, load_guidance, verdict
+from acgd.nn.excitation import in_action_space
+from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Context, Inputs
-from acgd.students import losses, quantizer
-from acgd.students.codebook import Codebook
-from acgd.students.data import Batch, Data
-from acgd.students.fit_codebook import VALIDATION_BATCH, all_codes
-from acgd.students.guidance import Guidance, gates, ratio_by_task, verdict
+from acgd.students.data import Data
+from acgd.students.load import new_student, save_student, sizes_of
 from acgd.students.settings import StudentRequest
 from acgd.students.student import Student
 from acgd.students.training import train
 
-CHOSEN_BY = "validation_plan_error"
-"""Chooses the best weights: the error of what the student would do. L_BC would not: L_lat, a cross-entropy, grows with confidence
-while the plan still improves."""
+VALIDATION_BATCH = 1024
+PLAN_ERROR = "validation_plan_error"
+"""Chooses the best weights: the error of what the student would do, per action component. L_BC would not do for every
+kind: a cross-entropy of codes grows with confidence while the plan still improves."""
+ROUND_SEEDS = 1_000_000
+"""Apart by this much, the generators of two rounds are those of no other student."""
 
 
-def distil(config: StudentRequest, inputs: Inputs, ctx: Context) -> None:
+def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
     """Trains the student and writes best.safetensors, last.safetensors and student.json."""
-    guided = config.student.guidance == "critic"
-    codebook = Codebook.load(inputs["codebook"], ctx.device)
-    data = Data.load(inputs["rollouts"], inputs.get("features"), codebook.config, states=guided, device=ctx.device)
-    codes = all_codes(codebook, data)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        student = Student.of(codebook).to(ctx.device)
-    guidance = load_guidance(config, inputs, ctx.device) if guided else None
-    # Codes are sampled from a stream of their own: a guided and an unguided student of one seed see the same batches.
+    settings, names = request.student, [task.name for task in request.tasks]
+    training = request.training
+    if request.rounds is not None:
+        training = training.model_copy(update={"steps": request.rounds.steps})
+    guidance = load_guidance(request.guidance, inputs, chunk=settings.chunk, device=ctx.device)
+    data = Data.load(
+        inputs,
+        request.imitation,
+        chunk=settings.chunk,
+        history=settings.history,
+        states=guidance is not None,
+        device=ctx.device,
+        onpolicy_labels="expert" if request.rounds is None else request.rounds.labels,
+    )
+    student = start(request, data, inputs, ctx.device)
+    data = data.with_targets(student.prepare(data, inputs))
     generators = {
-        name: torch.Generator(ctx.device).manual_seed(config.seed + at) for at, name in enumerate(("data", "codes"))
+        name: torch.Generator(ctx.device).manual_seed(request.seed + at + ROUND_SEEDS * request.round)
+        for at, name in enumerate(("data", "sample"))
     }
-    training, names, tally = config.student.training, [task.name for task in config.tasks], {}
+    tally: dict[str, float] = {}
+    guided = 0 if guidance is None else guidance.rows(training.batch)
 
-    def step_loss(step: int, logged: bool) -> tuple[Tensor, dict[str, float]]:
-        t = data.sample(training.batch, generators["data"])
-        batch = data.batch(t, generators["data"])
-        rows = round(training.batch * config.student.guided_fraction) if guided else 0
-        states = data.states(t[:rows]) if guided else None
-        bc, distill, row = student_losses(student, batch, codes[t], guidance, states, training.input_noise, generators)
-        distill = distill / config.student.alpha if guided else None
+    def step_loss(logged: bool) -> tuple[Tensor, dict[str, float]]:
+        batch = data.batch(data.sample(training.batch, generators["data"]), generators["data"])
+        imitation = student.imitate(batch, guided=guided, noise=training.input_noise, generators=generators)
+        l_bc = batch.weight * imitation.loss
+        row, loss = dict(imitation.metrics), l_bc.mean()
+        if guidance is not None:
+            row["l_distill"] = guidance.loss(imitation.proposal, data.reference(batch, guided))
+            l_distill = row["l_distill"] / guidance.alpha
+            loss = loss + l_distill.mean()
         if not logged:
-            return bc.mean() + (distill.mean() if guided else 0), {}
-        row = {name: value.mean().item() for name, value in row.items()}
-        if guided:
-            ratios = ratio_by_task(student, bc, distill, batch.observation.task, len(names))
-            row |= {f"guidance_ratio/{name}": ratio for name, ratio in zip(names, ratios)}
+            return loss, {}
+        scalars = {name: value.mean().item() for name, value in row.items()}
+        if guidance is not None:
+            ratios = gradient_ratios(student, l_bc, l_distill, batch.observation.task, len(names))
+            scalars |= {f"guidance_ratio/{name}": ratio for name, ratio in zip(names, ratios)}
+            tally["rows"] = tally.get("rows", 0) + 1
             for name, ratio in zip(names, ratios):
                 tally[name] = tally.get(name, 0.0) + ratio
-            tally["rows"] = tally.get("rows", 0) + 1
-        return bc.mean() + (distill.mean() if guided else 0), row
+        return loss, scalars
 
     best = train(
         student,
         step_loss,
-        lambda: validate(student, data, codes, guidance),
-        training,
-        generators,
-        tally,
-        ctx,
-        "student",
-        CHOSEN_BY,
+        lambda: validate(student, data, guidance),
+        config=training,
+        generators=generators,
+        tally=tally,
+        ctx=ctx,
+        what="student",
+        chosen_by=PLAN_ERROR,
     )
+    ratios = [tally.get(name, 0.0) / max(1, tally.get("rows", 0)) for name in names]
     notes = {
         "tasks": names,
-        "student": config.student.model_dump(mode="json"),
-        "seed": config.seed,
-        "best": {"step": best.step, CHOSEN_BY: best.loss},
-        "guidance": verdict(names, guidance, tally),
+        "training": training.model_dump(mode="json", exclude={"checkpoint_every"}),
+        "round": request.round,
+        "seed": request.seed,
+        "best": {"step": best.step, PLAN_ERROR: best.score},
+        "guidance_kind": request.guidance.kind,
+        "guidance": verdict(names, guidance, ratios),
     }
-    student.save(ctx.out, {"best": best.weights, "last": student.state_dict()}, notes)
+    save_student(student, ctx.out, {"best": best.weights, "last": student.state_dict()}, notes)
 
 
-def load_guidance(config: StudentRequest, inputs: Inputs, device: torch.device) -> Guidance:
-    """The frozen critics of all tasks, in the study's order, and their gates."""
-    critics = AggregateCritic([Critic.load(directory) for directory in inputs["critics"]], config.student.pessimism).to(
-        device
-    )
-    weights = losses.step_weights(config.student.guided_steps, config.codebook.chunk, device)
-    return Guidance(critics, gates(config.student, inputs["critics"], device), weights)
-
-
-def student_losses(
-    student: Student,
-    batch: Batch,
-    codes: Tensor,
-    guidance: Guidance | None,
-    states: Tensor | None,
-    noise: float,
-    generators: Generators,
-) -> tuple[Tensor, Tensor | None, dict[str, Tensor]]:
-    """L_BC (B,) and gate_i L_distill (n,), n = len(states) first rows of the batch.
-
-    L_act decodes phi_act's code, L_distill phi_lat's straight-through sample. Both pass the decoder as one batch.
-    """
-    z_state, z_task = student.observer(batch.observation, noise, generators["data"])
-    logits = student.latent_encoder(z_state, z_task)
-    l_lat = losses.lat(logits, codes)
-    z_q = student.quantizer.embed(quantizer.onehot(codes, student.config.codes))
-    n = 0 if guidance is None else len(states)
-    if n:
-        sampled, _ = quantizer.sample(logits[:n], generators["codes"])
-        z_q = torch.cat([z_q, student.quantizer.embed(sampled)])
-        z_state, z_task = torch.cat([z_state, z_state[:n]]), torch.cat([z_task, z_task[:n]])
-    decoded = student.decoder(z_q, z_state, z_task)
-    l_act = losses.act(student.measured(decoded[: len(codes)]), student.measured(batch.chunk), batch.mask)
-    row = {"l_lat": l_lat, "l_act": l_act}
-    if not n:
-        return l_lat + l_act, None, row
-    distill = guidance.loss(states, decoded[len(codes) :], batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
-    return l_lat + l_act, distill, row | {"l_distill": distill}
+def start(request: StudentRequest, data: Data, inputs: Inputs, device: torch.device) -> Student:
+    """A student before its first step: initialised by the seed, or with the last weights of the round before."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(request.seed)
+        student = new_student(request.student, request.imitation, sizes_of(data, inputs)).to(device)
+    if "student" in inputs:
+        student.load_state_dict(load_file(inputs["student"] / "last.safetensors"))
+    else:
+        student.initialise(data, inputs)
+    return student
 
 
 @torch.no_grad()
-def validate(student: Student, data: Data, codes: Tensor, guidance: Guidance | None) -> dict[str, float]:
-    """On the held-out episodes: L_BC; the error of what the student would do, which chooses the best weights, and its code accuracy; what the critics give it over
-    the demonstration."""
+def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[str, float]:
+    """On the held-out demonstrations: the kind's scores; the error of what the student would do, which chooses the best
+    weights; and its gain over the demonstration by the guidance."""
     student.eval()
-    generators = {"data": torch.Generator(codes.device).manual_seed(0)}
+    generators: Generators = {"data": torch.Generator(data.windows.task.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}
+    space = student.imitation.action_space
     for t in data.windows.validation.split(VALIDATION_BATCH):
         batch = data.batch(t, generators["data"])
-        seen = batch.observation
-        bc, _, row = student_losses(student, batch, codes[t], None, None, 0.0, generators)
-        plan = student.plan(seen.vision, seen.goal, seen.proprio, seen.task)
-        chosen = quantizer.most_likely(student.latent_encoder(*student.observer(seen)))[1]
-        scores = {
-            "validation_loss": bc,
-            "validation_l_lat": row["l_lat"],
-            "validation_l_act": row["l_act"],
-            "validation_plan_error": losses.act(student.measured(plan), student.measured(batch.chunk), batch.mask)
-            / plan.shape[-1],
-            "validation_code_accuracy": (chosen == codes[t]).float().mean(-1),
-        }
+        plan = student.plan(batch.observation)
+        error = l1(in_action_space(plan, space), in_action_space(batch.chunk, space), batch.mask)
+        scores = student.validate(batch) | {PLAN_ERROR: error / plan.shape[-1]}
         if guidance is not None:
-            gain = guidance.gain(data.states(t), plan, batch.chunk, seen.task)
-            scores["validation_gain"] = -losses.distill(gain, batch.mask, guidance.weights)
+            scores["validation_gain"] = guidance.gain(plan, data.reference(batch))
         for name, value in scores.items():
             sums[name] = sums.get(name, 0) + value.sum()
     student.train()

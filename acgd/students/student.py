@@ -1,80 +1,74 @@
-"""pi_theta, the visual multi-task student (Figure 2b): observer, phi_lat, frozen codes, psi_dec."""
+"""What a kind of student is. The stage `student`, evaluation and on-policy rounds know nothing else of it."""
 
-import json
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Protocol
 
-import torch
-from safetensors.torch import load_file, save_file
-from torch import Tensor, nn
+from torch import Tensor
 
-from acgd.nn.excitation import measured
-from acgd.students import quantizer
-from acgd.students.codebook import Codebook, Sizes
-from acgd.students.decoder import Decoder
-from acgd.students.latent_encoder import LatentEncoder
-from acgd.students.observer import Observation, Observer
-from acgd.students.quantizer import Quantizer
-from acgd.students.settings import CodebookConfig
-
-META = "student.json"
+from acgd.settings import Section
+from acgd.store.checkpoint import Generators
+from acgd.store.stage import Inputs
+from acgd.students.data import Batch, Data, Observation
+from acgd.students.perception import Perception
+from acgd.students.settings import ActingConfig, ImitationConfig
 
 
-class Student(nn.Module):
-    """Observation -> codes -> action chunk. Built from a codebook, whose codes it keeps and whose decoder it goes on training."""
+@dataclass(frozen=True)
+class Sizes:
+    """What the data dictate."""
 
-    def __init__(self, config: CodebookConfig, sizes: Sizes) -> None:
-        super().__init__()
-        self.config, self.sizes = config, sizes
-        self.observer = Observer(
-            sizes.features,
-            sizes.proprio,
-            config.history,
-            sizes.tasks,
-            config.width,
-            config.expansion,
-            config.goal_image != "off",
-            sizes.owns_cnn,
-        )
-        self.latent_encoder = LatentEncoder(config.width, config.expansion, config.groups, config.codes)
-        self.quantizer = Quantizer(config.groups, config.codes, config.width).requires_grad_(False)
-        self.decoder = Decoder(
-            config.chunk, sizes.actions, config.width, config.heads, config.decoder_layers, config.expansion
-        )
+    features: int
+    proprio: int
+    actions: int
+    tasks: int
+    owns_cnn: bool
+    """The student reads images through a CNN of its own, `features` wide, and no features of a frozen backbone."""
 
-    @classmethod
-    def of(cls, codebook: Codebook) -> Self:
-        """Observer, codes and decoder as the codebook left them; phi_lat fresh from torch's global generator."""
-        student = cls(codebook.config, codebook.sizes)
-        for part in ("observer", "quantizer", "decoder"):
-            getattr(student, part).load_state_dict(getattr(codebook, part).state_dict())
-        return student
 
-    def measured(self, action: Tensor) -> Tensor:
-        """Actions in the space in which they are compared."""
-        return measured(action, self.config.action_space)
+@dataclass(frozen=True)
+class Imitation:
+    """What one forward pass gives both losses."""
 
-    @torch.no_grad()
-    def plan(self, features: Tensor, goal_features: Tensor | None, proprio_history: Tensor, task: Tensor) -> Tensor:
-        """features, goal_features (B, F), or images (B, H, W, 3) uint8 for a student with its own CNN; proprio_history (B, h, P), oldest
-        first; task (B,) -> chunk (B, k, A) strictly inside the box, from the likeliest codes.
+    loss: Tensor
+    """(B,) L_BC of each window."""
+    proposal: Tensor | None
+    """(n, k, A) chunks for the first n windows, in the box, with a gradient. None where none were wanted."""
+    metrics: dict[str, Tensor]
+    """Name -> (B,), for the curves."""
+
+
+class Student(Protocol):
+    """An nn.Module of one kind.
+
+    Its settings say `chunk` k and `history` h, the steps of its windows, and `needs`, further stages that it reads. Its
+    state dict is all that it has learned.
+    """
+
+    settings: Section
+    imitation: ImitationConfig
+    sizes: Sizes
+
+    def __init__(self, settings: Section, imitation: ImitationConfig, sizes: Sizes) -> None:
+        """Weights are drawn from torch's global generator, which the caller seeds."""
+
+    def initialise(self, data: Data, inputs: Inputs) -> None:
+        """Before round 0: fit the normalisers to the data, and take over what was learned upstream."""
+
+    def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
+        """Before each round: targets of every window, name -> (N, ...), which batches then hold."""
+
+    def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
+        """One training step. `guided`: how many first windows need a proposal. `noise`: of the inputs.
+
+        Generators: `data` for the noise; `sample` for the student's samples of proposals, so that a guided and an
+        unguided student of one seed see the same batches.
         """
-        z_state, z_task = self.observer(Observation(features, goal_features, proprio_history, task))
-        onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
-        return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
-    def save(self, directory: Path, weights: dict[str, dict[str, Tensor]], notes: dict[str, Any]) -> None:
-        """`weights`: name -> state dict, each its own file; sizes and `notes` as JSON."""
-        for name, tensors in weights.items():
-            save_file({key: value.contiguous() for key, value in tensors.items()}, directory / f"{name}.safetensors")
-        meta = {"codebook": self.config.model_dump(mode="json"), "sizes": asdict(self.sizes), **notes}
-        (directory / META).write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
+    def validate(self, batch: Batch) -> dict[str, Tensor]:
+        """Scores of held-out windows besides the error of `plan`, name -> (B,)."""
 
-    @classmethod
-    def load(cls, directory: Path, weights: str, device: torch.device) -> Self:
-        """weights: best (least validation loss) or last."""
-        meta = json.loads((Path(directory) / META).read_text())
-        student = cls(CodebookConfig(**meta["codebook"]), Sizes(**meta["sizes"]))
-        student.load_state_dict(load_file(Path(directory) / f"{weights}.safetensors"))
-        return student.to(device).eval()
+    def plan(self, observation: Observation) -> Tensor:
+        """The likeliest chunk (B, k, A) in the box, without a gradient."""
+
+    def policy(self, perception: Perception, acting: ActingConfig) -> object:
+        """It acts on `image` and `proprio`: `start` and `act` of acgd.simulate.policy."""

@@ -10,19 +10,24 @@ from torch import Tensor, nn
 from acgd.store import checkpoint
 from acgd.store.precision import in_bfloat16
 from acgd.store.stage import Context
-from acgd.students.settings import TrainingConfig
+from acgd.students.training_settings import TrainingConfig
 
-Step = Callable[[int, bool], tuple[Tensor, dict[str, float]]]
-"""(step, whether it is logged) -> the loss, and what to log of it."""
+Step = Callable[[bool], tuple[Tensor, dict[str, float]]]
+"""Whether the step is logged -> its loss, and what to log of it."""
 
 
 @dataclass
 class Best:
-    """The weights of the least validation loss so far."""
+    """The weights of the least validation score so far."""
 
-    loss: float = math.inf
+    score: float = math.inf
     step: int = 0
     weights: dict[str, Tensor] = field(default_factory=dict)
+
+
+def log_every(steps: int) -> int:
+    """Steps between rows of metrics, at most 100, less in short runs. It is no setting: the rows are payload."""
+    return max(1, min(100, steps // 10))
 
 
 def learning_rate(step: int, config: TrainingConfig) -> float:
@@ -48,17 +53,19 @@ def train(
     model: nn.Module,
     step_loss: Step,
     validate: Callable[[], dict[str, float]],
+    *,
     config: TrainingConfig,
     generators: checkpoint.Generators,
     tally: dict[str, float],
     ctx: Context,
     what: str,
-    choose: str = "validation_loss",
+    chosen_by: str,
 ) -> Best:
     """Trains in place and returns the best weights; those of the last step are in the model.
 
-    `validate` returns scores; the least of the one named by `choose` is the best. `generators` are the only sources of randomness and `tally` whatever
-    `step_loss` accumulates: all are checkpointed, so that a resumed run equals an uninterrupted one bit for bit.
+    `validate` returns scores; the least of the one named by `chosen_by` is the best. `generators` are the only sources
+    of randomness, and `tally` holds the sums that `step_loss` keeps. All are checkpointed, so that a resumed run equals an
+    uninterrupted one bit for bit.
     """
     optimiser = adamw(model, config)
     trained = [p for group in optimiser.param_groups for p in group["params"]]
@@ -67,20 +74,22 @@ def train(
     if saved is not None:
         tensors, notes = saved
         checkpoint.restore(tensors, model, optimiser, generators)
-        best = Best(notes["best_loss"], notes["best_step"], checkpoint.under(tensors, "best."))
+        best = Best(notes["best_score"], notes["best_step"], checkpoint.under(tensors, "best."))
         start = notes["step"]
         tally.clear()
         tally.update(notes["tally"])
     ctx.metrics.rewind(start)
+    cadence = log_every(config.steps)
 
     with ctx.progress(config.steps, what, done=start) as bar:
         for step in range(start, config.steps):
             done = step + 1
-            logged = done % config.log_every == 0 or done == config.steps
+            logged = done % cadence == 0 or done == config.steps
+            rate = learning_rate(step, config)
             for group in optimiser.param_groups:
-                group["lr"] = learning_rate(step, config)
+                group["lr"] = rate
             with torch.autocast(ctx.device.type, torch.bfloat16, enabled=in_bfloat16(config.precision, ctx.device)):
-                loss, row = step_loss(step, logged)
+                loss, row = step_loss(logged)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             norm = nn.utils.clip_grad_norm_(trained, config.clip_norm, foreach=True)
@@ -89,29 +98,22 @@ def train(
             if logged:
                 if not math.isfinite(loss.item()):
                     raise FloatingPointError(
-                        f"{what}: the loss is {loss.item()} at step {done}; lower training.learning_rate or training.clip_norm"
+                        f"{what}: the loss is {loss.item()} at step {done}; "
+                        "lower training.learning_rate or training.clip_norm"
                     )
-                row = {
-                    **row,
-                    "loss": loss.item(),
-                    "gradient_norm": norm.item(),
-                    "learning_rate": learning_rate(step, config),
-                }
+                row = {**row, "loss": loss.item(), "gradient_norm": norm.item(), "learning_rate": rate}
             if done % config.validate_every == 0 or done == config.steps:
                 scores = validate()
                 row = {**row, **scores}
-                if scores[choose] < best.loss:
-                    best = Best(
-                        scores[choose], done, {name: value.clone() for name, value in model.state_dict().items()}
-                    )
+                if scores[chosen_by] < best.score:
+                    best = Best(scores[chosen_by], done, {name: x.clone() for name, x in model.state_dict().items()})
             if row:
                 ctx.metrics.log(done, **row)
             if done % config.checkpoint_every == 0 and done < config.steps:
                 ctx.metrics.flush()
                 state = checkpoint.training_state(model, optimiser, generators)
                 state |= {f"best.{name}": value for name, value in best.weights.items()}
-                checkpoint.save(
-                    ctx.state, state, {"step": done, "best_loss": best.loss, "best_step": best.step, "tally": tally}
-                )
+                notes = {"step": done, "best_score": best.score, "best_step": best.step, "tally": tally}
+                checkpoint.save(ctx.state, state, notes)
             bar.update(1)
     return best

@@ -1,34 +1,36 @@
-"""All backbones by kind. A kind is a module with `make(config, inputs, ctx)` and `load(folder) -> nn.Module`."""
+"""What a backbone is, and the one of an artifact."""
 
 import json
 from pathlib import Path
-from types import ModuleType
-from typing import Protocol
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor
 
-from acgd.vision import huggingface, privileged, r3m, scratch
-
-BACKBONES: dict[str, ModuleType] = {
-    "privileged": privileged,
-    "scratch": scratch,
-    "r3m": r3m,
-    "huggingface": huggingface,
-}
+from acgd.settings import Section, imported
+from acgd.store.stage import Context, Inputs
+from acgd.vision.kinds import BACKBONES
 
 
 class Backbone(Protocol):
-    """What `load` gives: a frozen module in evaluation mode."""
+    """A network of one kind: an nn.Module."""
 
     dim: int
+
+    @classmethod
+    def make(cls, settings: Section, inputs: Inputs, ctx: Context) -> None:
+        """Train or convert it; write backbone.json, whose `kind` names the kind, and the weights."""
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """What `make` wrote. ValueError for kind `scratch`, which has no network."""
 
     def __call__(self, images: Tensor) -> Tensor:
         """Images (B, H, W, 3) uint8 -> (B, dim) float32."""
 
 
 def load(folder: Path, device: torch.device) -> Backbone:
-    """The backbone of an artifact, frozen. ValueError for kind `scratch`, which has none."""
+    """The backbone of an artifact, frozen and in evaluation mode."""
     folder = Path(folder)
     kind = json.loads((folder / "backbone.json").read_text())["kind"]
-    return BACKBONES[kind].load(folder).to(device).eval().requires_grad_(False)
+    return imported(BACKBONES[kind].code).load(folder).to(device).eval().requires_grad_(False)

@@ -44,7 +44,7 @@ class SmallCNN(nn.Module):
         return self.mix(self.standardise(torch.cat([rows, columns, (mass + 1).log()], 1)))
 
     def centroids(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Row and column in (-1, 1), drawn to 0 where there is no mass, and the mass in cells, of each map, (B, MAPS)."""
+        """Row and column in (-1, 1), drawn to 0 where there is no mass, and mass in cells, of each map, (B, MAPS)."""
         # a permuted (B, H, W, 3) image is channels_last already
         maps = self.convolutions(images.permute(0, 3, 1, 2).float().div(255.0)).float()
         row, column = ((2 * torch.arange(n, device=maps.device) + 1) / n - 1 for n in maps.shape[-2:])

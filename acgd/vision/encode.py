@@ -1,4 +1,4 @@
-"""The stage `features`: a frozen backbone applied once to every frame of one task's demonstrations."""
+"""The stage `features`: a frozen backbone applied once to every frame of one task's rollouts."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from acgd.vision.backbones import Backbone, load
 from acgd.vision.settings import FeaturesConfig, FeaturesRequest
 
 
-def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
+def encode(request: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
     """Write features.zarr: `image` (T, F) and `final_image` (E, F), float32."""
     backbone = load(inputs["backbone"], ctx.device)
     demos = Demonstrations.load(inputs["rollouts"], ["image", "final_image"])
@@ -21,8 +21,8 @@ def encode(config: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
         features = {}
         for name, frames in demos.arrays.items():
             parts = []
-            for batch in torch.from_numpy(frames).split(config.features.batch):
-                parts.append(_encode(backbone, batch.to(ctx.device), config.features).cpu().numpy())
+            for batch in torch.from_numpy(frames).split(request.features.batch):
+                parts.append(_encode(backbone, batch.to(ctx.device), request.features).cpu().numpy())
                 bar.update(len(batch))
             features[name] = np.concatenate(parts)
     write_group(ctx.out / "features.zarr", features, {"dim": backbone.dim})

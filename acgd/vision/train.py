@@ -1,10 +1,11 @@
-"""The stage `backbone`: trained, or converted once from a file that somebody else trained."""
+"""The stage `backbone`: trained, or converted once from a file of pretrained weights."""
 
+from acgd.settings import imported
 from acgd.store.stage import Context, Inputs
-from acgd.vision.backbones import BACKBONES
+from acgd.vision.kinds import BACKBONES
 from acgd.vision.settings import BackboneRequest
 
 
-def train(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
+def train(request: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
     """Write backbone.json and, unless the kind is `scratch`, the weights."""
-    BACKBONES[config.backbone.kind].make(config, inputs, ctx)
+    imported(BACKBONES[request.backbone.kind].code).make(request.backbone, inputs, ctx)

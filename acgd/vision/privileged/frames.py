@@ -1,4 +1,4 @@
-"""Frames of one task with what a privileged backbone is to find in them."""
+"""Frames of one task, with the object and goal that a privileged backbone regresses from them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.store import read_attributes
+from acgd.tasks.spec import TASKS
 
 STD_FLOOR = 1e-3
 """A target that varies less than this (m, rad) counts as constant."""
@@ -17,6 +19,8 @@ STD_FLOOR = 1e-3
 class Frames:
     """N frames, their targets, and which are for training."""
 
+    task: str
+    """Name of the task."""
     images: Tensor
     """(N, H, W, 3) uint8."""
     targets: Tensor
@@ -31,16 +35,23 @@ class Frames:
     """(m,) long."""
 
     @classmethod
-    def load(cls, artifact_dir: Path, entries: tuple[str, ...], most: int, device: torch.device) -> "Frames":
-        """At most `most` training frames, evenly spaced; a fourth as many of the held-out episodes."""
-        demos = Demonstrations.load(artifact_dir, ["image", "state"])
-        columns = [(f"{entry}.{i}", at) for entry in entries for i, at in enumerate(_columns(demos, entry))]
+    def load(cls, rollouts: Path, most: int, device: torch.device) -> "Frames":
+        """At most `most` training frames, evenly spaced; a fourth as many of the held-out episodes.
+
+        The targets are the entries of the state that the task declares as privileged.
+        """
+        demos = Demonstrations.load(rollouts, ["image", "state"])
+        task = read_attributes(Path(rollouts) / "rollouts.zarr")["task"]
+        columns = [
+            (f"{entry}.{i}", at) for entry in TASKS[task].privileged for i, at in enumerate(_columns(demos, entry))
+        ]
         train, held_out = (demos.steps_of(episodes) for episodes in demos.split())
         train, held_out = _thin(train, most), _thin(held_out, max(1, most // 4))
         rows = np.concatenate([train, held_out])
         values = demos.arrays["state"][np.ix_(rows, [at for _, at in columns])]
         mean, std = values[: len(train)].mean(0), values[: len(train)].std(0).clip(STD_FLOOR)
         return cls(
+            task=task,
             images=torch.from_numpy(demos.arrays["image"][rows]).to(device),
             targets=torch.from_numpy((values - mean) / std).to(device),
             names=[name for name, _ in columns],

@@ -7,6 +7,7 @@ weights_only, and its ResNet kept as safetensors in the artifact; the language p
 import json
 import pickle
 from pathlib import Path
+from typing import Self
 
 import torch
 from safetensors.torch import load_file, save_file
@@ -15,8 +16,8 @@ from torch import Tensor, nn
 from acgd.store.key import file_digest
 from acgd.store.stage import Context, Inputs
 from acgd.vision.pretrained import Preprocess
-from acgd.vision.resnet import DEPTHS, ResNet
-from acgd.vision.settings import BackboneRequest
+from acgd.vision.r3m.resnet import DEPTHS, ResNet
+from acgd.vision.r3m.settings import R3MConfig
 
 PREFIX = "module.convnet."
 
@@ -33,28 +34,29 @@ class R3M(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         return self.convnet(self.preprocess(images))
 
+    @classmethod
+    def make(cls, settings: R3MConfig, inputs: Inputs, ctx: Context) -> None:
+        """Convert the checkpoint; write backbone.safetensors, and backbone.json with the checkpoint's SHA-256."""
+        path, size = settings.path, settings.size
+        weights = read_checkpoint(path)
+        backbone = cls(depth_of(weights, path), size)
+        missing, unexpected = backbone.convnet.load_state_dict(weights, strict=False)
+        if missing or unexpected:
+            raise ValueError(
+                f"{path} is no R3M checkpoint: missing {missing[:3]}, unexpected {unexpected[:3]}. "
+                "Name the published model.pt."
+            )
+        save_file({k: v.contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
+        meta = {"kind": "r3m", "depth": depth_of(weights, path), "size": size, "source_sha256": file_digest(path)}
+        (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
 
-def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
-    """Convert the checkpoint; write backbone.safetensors, and backbone.json with the checkpoint's SHA-256."""
-    path, size = config.backbone.path, config.backbone.size
-    weights = read_checkpoint(path)
-    backbone = R3M(depth_of(weights, path), size)
-    missing, unexpected = backbone.convnet.load_state_dict(weights, strict=False)
-    if missing or unexpected:
-        raise ValueError(
-            f"{path} is no R3M checkpoint: missing {missing[:3]}, unexpected {unexpected[:3]}. Name the published model.pt."
-        )
-    save_file({k: v.contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
-    meta = {"kind": "r3m", "depth": depth_of(weights, path), "size": size, "source_sha256": file_digest(path)}
-    (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
-
-
-def load(folder: Path) -> R3M:
-    """What `make` wrote."""
-    meta = json.loads((folder / "backbone.json").read_text())
-    backbone = R3M(meta["depth"], meta["size"])
-    backbone.load_state_dict(load_file(folder / "backbone.safetensors"))
-    return backbone
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """What `make` wrote."""
+        meta = json.loads((folder / "backbone.json").read_text())
+        backbone = cls(meta["depth"], meta["size"])
+        backbone.load_state_dict(load_file(folder / "backbone.safetensors"))
+        return backbone
 
 
 def read_checkpoint(path: Path) -> dict[str, Tensor]:
@@ -64,18 +66,20 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
         tensors = content["r3m"]
     except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
         raise ValueError(
-            f"{path} is no R3M checkpoint ({type(error).__name__}: {error}). Name the published model.pt in backbone.path."
+            f"{path} is no R3M checkpoint ({type(error).__name__}: {error}). "
+            "Name the published model.pt in backbone.path."
         ) from error
     return {name.removeprefix(PREFIX): value for name, value in tensors.items() if name.startswith(PREFIX)}
 
 
 def depth_of(weights: dict[str, Tensor], path: Path) -> int:
-    """18, 34 or 50, told by the blocks that are there."""
+    """18, 34 or 50, from the blocks that the checkpoint holds."""
     blocks = tuple(len({name.split(".")[1] for name in weights if name.startswith(f"layer{i}.")}) for i in range(1, 5))
     bottleneck = "layer1.0.conv3.weight" in weights
     for depth, expected in DEPTHS.items():
         if blocks == expected and bottleneck == (depth >= 50):
             return depth
     raise ValueError(
-        f"{path} holds no ResNet-18, -34 or -50 under {PREFIX}: its layers have {blocks} blocks. Name the published model.pt."
+        f"{path} holds no ResNet-18, -34 or -50 under {PREFIX}: its layers have {blocks} blocks. "
+        "Name the published model.pt."
     )

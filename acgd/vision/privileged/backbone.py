@@ -7,6 +7,7 @@ Episodes held out for validation are no part of the training.
 import json
 import math
 from pathlib import Path
+from typing import Self
 
 import torch
 from safetensors.torch import load_file, save_file
@@ -16,11 +17,10 @@ from torch.nn import functional as F
 from acgd.store import checkpoint
 from acgd.store.precision import in_bfloat16
 from acgd.store.stage import Context, Inputs
-from acgd.tasks.spec import TASKS
-from acgd.vision.augmentation import brighten, shift
 from acgd.vision.cnn import SmallCNN
-from acgd.vision.frames import Frames
-from acgd.vision.settings import BackboneConfig, BackboneRequest
+from acgd.vision.privileged.augmentation import brighten, shift
+from acgd.vision.privileged.frames import Frames
+from acgd.vision.privileged.settings import PrivilegedConfig
 
 WARM_UP = 50
 """Steps over which the learning rate rises."""
@@ -28,8 +28,8 @@ LOG_EVERY = 50
 VALIDATE_EVERY = 500
 
 
-class PrivilegedBackbone(nn.Module):
-    """SmallCNN and one linear head per task. Its features are the CNN's and all heads' outputs, in standard deviations."""
+class Privileged(nn.Module):
+    """SmallCNN and one linear head per task. Its features are the outputs of CNN and heads, in standard deviations."""
 
     def __init__(self, dim: int, targets: list[int]) -> None:
         super().__init__()
@@ -47,55 +47,55 @@ class PrivilegedBackbone(nn.Module):
         parts = self.cnn(images, moved).float().chunk(len(targets))
         return torch.stack([F.smooth_l1_loss(h(x), y, beta=0.5) for h, x, y in zip(self.heads, parts, targets)]).mean()
 
+    @classmethod
+    def make(cls, settings: PrivilegedConfig, inputs: Inputs, ctx: Context) -> None:
+        """Train, or go on from the checkpoint; write backbone.safetensors and backbone.json."""
+        frames = [Frames.load(path, settings.frames, ctx.device) for path in inputs["rollouts"]]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            backbone = cls(settings.dim, [len(each.names) for each in frames]).to(ctx.device)
+        train(backbone, frames, settings, ctx)
+        save_file({k: v.cpu().contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
+        meta = {"kind": "privileged", "dim": settings.dim, "tasks": validate(backbone, frames)}
+        (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
 
-def make(config: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
-    """Train, or go on from the checkpoint; write backbone.safetensors and backbone.json."""
-    settings = config.backbone
-    frames = [
-        Frames.load(path, TASKS[task.name].privileged, settings.frames, ctx.device)
-        for path, task in zip(inputs["rollouts"], config.tasks)
-    ]
-    generator = torch.Generator().manual_seed(settings.seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(settings.seed)
-        backbone = PrivilegedBackbone(settings.dim, [len(each.names) for each in frames]).to(ctx.device)
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """What `make` wrote."""
+        meta = json.loads((folder / "backbone.json").read_text())
+        weights = load_file(folder / "backbone.safetensors")
+        backbone = cls(meta["dim"], [weights[f"heads.{k}.bias"].shape[0] for k in range(len(meta["tasks"]))])
+        backbone.load_state_dict(weights)
+        return backbone
+
+
+def train(backbone: Privileged, frames: list[Frames], settings: PrivilegedConfig, ctx: Context) -> None:
+    """The optimisation loop. A resumed run equals an uninterrupted one bit for bit."""
+    generators = {"frames": torch.Generator().manual_seed(settings.seed)}
     optimiser = torch.optim.AdamW(backbone.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    notes, generators = {"step": 0}, {"frames": generator}
+    notes = {"step": 0}
     if (saved := checkpoint.load(ctx.state)) is not None:
         tensors, notes = saved
         checkpoint.restore(tensors, backbone, optimiser, generators)
     ctx.metrics.rewind(notes["step"])
     with ctx.progress(settings.steps, "training the backbone", done=notes["step"]) as bar:
         for step in range(notes["step"] + 1, settings.steps + 1):
-            loss = _step(backbone, optimiser, frames, settings, step, generator)
+            loss = _step(backbone, optimiser, frames, settings, step, generators["frames"])
             if step % LOG_EVERY == 0:
                 ctx.metrics.log(step, loss=loss.item())
                 bar.update(LOG_EVERY, loss=loss.item())
             if step % VALIDATE_EVERY == 0 or step == settings.steps:
-                ctx.metrics.log(step, **_flat(_validate(backbone, frames, config)))
+                ctx.metrics.log(step, **_curves(validate(backbone, frames)))
             if step % settings.checkpoint_every == 0:
                 ctx.metrics.flush()
                 checkpoint.save(ctx.state, checkpoint.training_state(backbone, optimiser, generators), {"step": step})
-    save_file({k: v.cpu().contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
-    meta = {"kind": "privileged", "dim": settings.dim, "tasks": _validate(backbone, frames, config)}
-    (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
-
-
-def load(folder: Path) -> PrivilegedBackbone:
-    """What `make` wrote."""
-    meta = json.loads((folder / "backbone.json").read_text())
-    weights = load_file(folder / "backbone.safetensors")
-    sizes = [weights[f"heads.{k}.bias"].shape[0] for k in range(len(meta["tasks"]))]
-    backbone = PrivilegedBackbone(meta["dim"], sizes)
-    backbone.load_state_dict(weights)
-    return backbone
 
 
 def _step(
-    backbone: PrivilegedBackbone,
+    backbone: Privileged,
     optimiser: torch.optim.Optimizer,
     frames: list[Frames],
-    settings: BackboneConfig,
+    settings: PrivilegedConfig,
     step: int,
     generator: torch.Generator,
 ) -> Tensor:
@@ -126,24 +126,24 @@ def _step(
 
 
 @torch.no_grad()
-def _validate(backbone: PrivilegedBackbone, frames: list[Frames], config: BackboneRequest) -> dict[str, dict]:
+def validate(backbone: Privileged, frames: list[Frames]) -> dict[str, dict]:
     """Task -> target -> R^2 on the held-out episodes, and root mean square error in the target's own unit.
 
     R^2 is the share explained of the variance over the training frames: that over a handful of held-out
     episodes says little about a goal, which is constant within each.
     """
     backbone.eval()
-    found = {}
-    for task, head, each in zip(config.tasks, backbone.heads, frames):
+    scores = {}
+    for head, each in zip(backbone.heads, frames):
         predicted = torch.cat([head(backbone.cnn(each.images[rows])) for rows in each.validation.split(256)])
         error = (predicted - each.targets[each.validation]).square().mean(0)
         rmse = error.sqrt() * each.std
-        found[task.name] = {
+        scores[each.task] = {
             name: {"r2": r, "rmse": e} for name, r, e in zip(each.names, (1 - error).tolist(), rmse.tolist())
         }
-    return found
+    return scores
 
 
-def _flat(found: dict[str, dict]) -> dict[str, float]:
-    """As curves: `r2/<task>/<target>`."""
-    return {f"r2/{task}/{name}": figures["r2"] for task, targets in found.items() for name, figures in targets.items()}
+def _curves(scores: dict[str, dict]) -> dict[str, float]:
+    """`r2/<task>/<target>` -> R^2."""
+    return {f"r2/{task}/{name}": score["r2"] for task, targets in scores.items() for name, score in targets.items()}

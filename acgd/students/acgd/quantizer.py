@@ -4,9 +4,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from acgd.students.acgd.settings import ACGDConfig
+
 
 def logits_by_distance(z_e: Tensor, codes: Tensor) -> Tensor:
-    """Minus the squared distances of z_e (B, G, n_q) to codes (G, n_c, n_q): the nearest code is the likeliest -> (B, G, n_c)."""
+    """Minus the squared distances of z_e (B, G, n_q) to codes (G, n_c, n_q) -> (B, G, n_c).
+
+    The nearest code is the likeliest.
+    """
     dot = torch.einsum("bgq,gcq->bgc", z_e, codes)
     return 2 * dot - z_e.square().sum(-1, keepdim=True) - codes.square().sum(-1)
 
@@ -17,7 +22,10 @@ def onehot(codes: Tensor, n_c: int) -> Tensor:
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """c ~ M(sigma(z_e)), straight through. logits (B, G, n_c) -> one-hot with the gradient of sigma(logits) (B, G, n_c), codes (B, G)."""
+    """c ~ M(sigma(z_e)), straight through.
+
+    logits (B, G, n_c) -> one-hot with the gradient of sigma(logits) (B, G, n_c), codes (B, G).
+    """
     probabilities = logits.float().softmax(-1)
     flat = probabilities.detach().flatten(0, 1)
     codes = torch.multinomial(flat, 1, generator=generator).view(logits.shape[:-1])
@@ -39,11 +47,11 @@ def perplexity(codes: Tensor, n_c: int) -> Tensor:
 class Quantizer(nn.Module):
     """The codebook C: G groups of n_c embeddings e of size n_q; z_q is the sum of the chosen ones."""
 
-    def __init__(self, groups: int, codes: int, width: int, distance: bool = False) -> None:
+    def __init__(self, settings: ACGDConfig) -> None:
         super().__init__()
-        self.distance = distance
-        scale = 1.0 if distance else groups**-0.5
-        self.codes = nn.Parameter(torch.randn(groups, codes, width) * scale)
+        self.distance = settings.logits == "distance"
+        scale = 1.0 if self.distance else settings.groups**-0.5
+        self.codes = nn.Parameter(torch.randn(settings.groups, settings.codes, settings.width) * scale)
 
     @property
     def encoding_size(self) -> int:

@@ -6,7 +6,7 @@ from torch.nn import functional as F
 
 
 def shift(images: Tensor, pixels: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Move each image (B, H, W, 3) by up to `pixels` rows and columns, black coming in; also returns the moves (B, 2)."""
+    """Move each image (B, H, W, 3) by up to `pixels` rows and columns, black coming in -> images, moves (B, 2)."""
     batch, height, width, _ = images.shape
     padded = F.pad(images, (0, 0, pixels, pixels, pixels, pixels))
     moved = torch.randint(-pixels, pixels + 1, (batch, 2), generator=generator).to(images.device)

@@ -1,0 +1,278 @@
+"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec; of these, codebook (a) and student (b).
+
+B windows; k actions of A components in a chunk; G groups of n_c codes; d the width of every embedding. The quantizer C
+and its z_q are in quantizer.py, the losses in losses.py.
+"""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Self
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from acgd.nn.block import Block
+from acgd.nn.excitation import in_action_space
+from acgd.rollouts.windows import Windows
+from acgd.store.checkpoint import Generators
+from acgd.store.stage import Inputs
+from acgd.students.acgd import losses, quantizer
+from acgd.students.acgd.quantizer import Quantizer
+from acgd.students.acgd.settings import ACGDConfig
+from acgd.students.acting import ChunkPolicy
+from acgd.students.data import Batch, Data, Observation
+from acgd.students.inputs import StudentInputs
+from acgd.students.perception import Perception
+from acgd.students.settings import ActingConfig, ImitationConfig
+from acgd.students.student import Imitation, Sizes
+
+WEIGHTS, META = "codebook.safetensors", "codebook.json"
+ENCODED_AT_ONCE = 1024
+"""Windows."""
+
+
+class ActionEncoder(nn.Module):
+    """phi_act, a transformer over the action chunk: a_{t:t+k} -> z_e."""
+
+    def __init__(self, settings: ACGDConfig, sizes: Sizes, encoding_size: int) -> None:
+        """`encoding_size`: values of z_e per group, logits or coordinates."""
+        super().__init__()
+        s = settings
+        self.embed = nn.Linear(sizes.actions, s.width)
+        self.past_the_end = nn.Parameter(torch.randn(s.width) * 0.02)
+        self.position = nn.Parameter(torch.randn(s.chunk, s.width) * 0.02)
+        self.blocks = nn.ModuleList(Block(s.width, s.heads, s.expansion) for _ in range(s.encoder_layers))
+        self.norm = nn.LayerNorm(s.width)
+        self.head = nn.Linear(s.chunk * s.width, s.groups * encoding_size)
+        self.groups = s.groups
+
+    def forward(self, chunk: Tensor, mask: Tensor) -> Tensor:
+        """chunk (B, k, A), mask (B, k) true on steps inside the episode -> z_e (B, G, encoding_size)."""
+        tokens = torch.where(mask[..., None], self.embed(chunk), self.past_the_end) + self.position
+        for block in self.blocks:
+            tokens = block(tokens)
+        return self.head(self.norm(tokens).flatten(1)).unflatten(-1, (self.groups, -1))
+
+
+class StateEncoder(nn.Module):
+    """phi_state, an MLP over the robot's recent proprioception: s_{t-h:t} -> z_state (Section III-C).
+
+    It reads the robot's own history, never the privileged state, although the paper writes both as s.
+    """
+
+    def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
+        super().__init__()
+        hidden = settings.expansion * settings.width
+        self.net = nn.Sequential(
+            nn.Linear(settings.history * sizes.proprio, hidden),
+            nn.LayerNorm(hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, settings.width),
+        )
+
+    def forward(self, proprio: Tensor) -> Tensor:
+        """proprio (B, h, P), normalised -> z_state (B, d)."""
+        return self.net(proprio.flatten(1))
+
+
+class TaskEncoder(nn.Module):
+    """phi_task: features of o_t and, unless it is switched off, of o_T, and the task t_i -> z_task (Section III-C)."""
+
+    def __init__(self, settings: ACGDConfig, sizes: Sizes, *, goal_image: bool) -> None:
+        super().__init__()
+        hidden = settings.expansion * settings.width
+        self.task = nn.Embedding(sizes.tasks, settings.width)
+        self.features = nn.Linear(sizes.features * (2 if goal_image else 1), hidden)
+        self.task_to_hidden = nn.Linear(settings.width, hidden, bias=False)
+        self.net = nn.Sequential(nn.LayerNorm(hidden), nn.ReLU(), nn.Linear(hidden, settings.width))
+
+    def forward(self, vision: Tensor, goal: Tensor | None, task: Tensor) -> Tensor:
+        """vision, goal (B, F), normalised; task (B,) -> z_task (B, d)."""
+        features = vision if goal is None else torch.cat([vision, goal], dim=-1)
+        return self.net(self.features(features) + self.task_to_hidden(self.task(task)))
+
+
+class Observer(nn.Module):
+    """phi_state and phi_task on the normalised observation."""
+
+    def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
+        super().__init__()
+        goal_image = imitation.goal_image != "off"
+        self.inputs = StudentInputs(sizes, goal_image=goal_image)
+        self.state_encoder = StateEncoder(settings, sizes)
+        self.task_encoder = TaskEncoder(settings, sizes, goal_image=goal_image)
+
+    def forward(
+        self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """-> z_state, z_task, each (B, d)."""
+        vision, goal, proprio = self.inputs(observation, noise, generator)
+        return self.state_encoder(proprio), self.task_encoder(vision, goal, observation.task)
+
+
+class LatentEncoder(nn.Module):
+    """phi_lat: the codes that the observation calls for (Figure 2b)."""
+
+    def __init__(self, settings: ACGDConfig) -> None:
+        super().__init__()
+        width, hidden = settings.width, settings.expansion * settings.width
+        self.net = nn.Sequential(
+            nn.LayerNorm(2 * width),
+            nn.Linear(2 * width, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, settings.groups * settings.codes),
+        )
+        self.groups = settings.groups
+
+    def forward(self, z_state: Tensor, z_task: Tensor) -> Tensor:
+        """Each (B, d) -> logits (B, G, n_c)."""
+        return self.net(torch.cat([z_state, z_task], dim=-1)).unflatten(-1, (self.groups, -1))
+
+
+class ActionDecoder(nn.Module):
+    """psi_dec, k learned queries that attend to [z_q, z_state, z_task]: -> a_hat_{t:t+k}, strictly inside the box.
+
+    The tanh keeps actions in (-1, 1), so that nothing downstream clamps them and no gradient of Q is lost to a clamp.
+    """
+
+    def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
+        super().__init__()
+        s = settings
+        self.queries = nn.Parameter(torch.randn(s.chunk, s.width) * 0.5)
+        self.norm_context = nn.LayerNorm(s.width)
+        self.blocks = nn.ModuleList(Block(s.width, s.heads, s.expansion) for _ in range(s.decoder_layers))
+        self.norm = nn.LayerNorm(s.width)
+        self.head = nn.Linear(s.width, sizes.actions)
+
+    def forward(self, z_q: Tensor, z_state: Tensor, z_task: Tensor) -> Tensor:
+        """Each (B, d) -> action chunk (B, k, A)."""
+        context = self.norm_context(torch.stack([z_q, z_state, z_task], dim=1))
+        tokens = self.queries[None]
+        for block in self.blocks:
+            tokens = block(tokens, context)
+        return self.head(self.norm(tokens)).float().tanh()
+
+
+class Codebook(nn.Module):
+    """Stage (a): a_{t:t+k} -> codes -> a_hat_{t:t+k}, given z_state and z_task."""
+
+    def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
+        super().__init__()
+        self.settings, self.imitation, self.sizes = settings, imitation, sizes
+        self.observer = Observer(settings, imitation, sizes)
+        self.quantizer = Quantizer(settings)
+        self.action_encoder = ActionEncoder(settings, sizes, self.quantizer.encoding_size)
+        self.decoder = ActionDecoder(settings, sizes)
+
+    def encode(self, chunk: Tensor, mask: Tensor) -> Tensor:
+        """chunk (B, k, A), mask (B, k) -> logits of phi_act (B, G, n_c)."""
+        chunk = in_action_space(chunk, self.imitation.action_space)
+        return self.quantizer.logits(self.action_encoder(chunk, mask))
+
+    def decode(self, onehot: Tensor, z_state: Tensor, z_task: Tensor) -> Tensor:
+        """onehot (B, G, n_c), embeddings (B, d) -> action chunk (B, k, A)."""
+        return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
+
+    @torch.no_grad()
+    def codes_of(self, windows: Windows) -> Tensor:
+        """phi_act's likeliest codes of the window at every step, (N, G)."""
+        every = torch.arange(len(windows.task), device=windows.task.device)
+        chunks = (windows.chunk_of("label", t, self.settings.chunk) for t in every.split(ENCODED_AT_ONCE))
+        return torch.cat([quantizer.most_likely(self.encode(*chunk))[1] for chunk in chunks])
+
+    def save(self, directory: Path) -> None:
+        """Weights as safetensors, settings and sizes as JSON."""
+        save_file({name: value.contiguous() for name, value in self.state_dict().items()}, directory / WEIGHTS)
+        meta = {
+            "student": self.settings.model_dump(mode="json"),
+            "imitation": self.imitation.model_dump(mode="json"),
+            "sizes": asdict(self.sizes),
+        }
+        (directory / META).write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
+
+    @classmethod
+    def load(cls, directory: Path, device: torch.device) -> Self:
+        """A codebook as it was saved, in eval mode."""
+        meta = json.loads((Path(directory) / META).read_text())
+        codebook = cls(ACGDConfig(**meta["student"]), ImitationConfig(**meta["imitation"]), Sizes(**meta["sizes"]))
+        codebook.load_state_dict(load_file(Path(directory) / WEIGHTS))
+        return codebook.to(device).eval()
+
+
+class ACGD(nn.Module):
+    """pi_theta, stage (b): observation -> codes -> action chunk.
+
+    It keeps the codes of the codebook, and goes on training its observer and decoder; phi_act's codes are the targets.
+    """
+
+    def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
+        super().__init__()
+        self.settings, self.imitation, self.sizes = settings, imitation, sizes
+        self.observer = Observer(settings, imitation, sizes)
+        self.latent_encoder = LatentEncoder(settings)
+        self.quantizer = Quantizer(settings).requires_grad_(False)
+        self.decoder = ActionDecoder(settings, sizes)
+
+    def initialise(self, data: Data, inputs: Inputs) -> None:
+        """Observer, codes and decoder as the codebook left them; phi_lat stays fresh."""
+        codebook = Codebook.load(inputs["codebook"], self.quantizer.codes.device)
+        for part in ("observer", "quantizer", "decoder"):
+            getattr(self, part).load_state_dict(getattr(codebook, part).state_dict())
+
+    def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
+        """phi_act's code of every window."""
+        return {"codes": Codebook.load(inputs["codebook"], self.quantizer.codes.device).codes_of(data.windows)}
+
+    def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
+        """L_BC = L_lat + L_act. L_act decodes phi_act's code, the proposal phi_lat's straight-through sample.
+
+        Both pass the decoder as one batch.
+        """
+        codes = batch.targets["codes"]
+        z_state, z_task = self.observer(batch.observation, noise, generators["data"])
+        logits = self.latent_encoder(z_state, z_task)
+        l_lat = losses.lat(logits, codes)
+        z_q = self.quantizer.embed(quantizer.onehot(codes, self.settings.codes))
+        if guided:
+            sampled, _ = quantizer.sample(logits[:guided], generators["sample"])
+            z_q = torch.cat([z_q, self.quantizer.embed(sampled)])
+            z_state, z_task = torch.cat([z_state, z_state[:guided]]), torch.cat([z_task, z_task[:guided]])
+        decoded = self.decoder(z_q, z_state, z_task)
+        l_act = self.error(decoded[: len(codes)], batch)
+        proposal = decoded[len(codes) :] if guided else None
+        return Imitation(l_lat + l_act, proposal, {"l_lat": l_lat, "l_act": l_act})
+
+    def validate(self, batch: Batch) -> dict[str, Tensor]:
+        """L_BC and its parts, and how often phi_lat's likeliest code is phi_act's."""
+        codes = batch.targets["codes"]
+        z_state, z_task = self.observer(batch.observation)
+        logits = self.latent_encoder(z_state, z_task)
+        l_lat = losses.lat(logits, codes)
+        z_q = self.quantizer.embed(quantizer.onehot(codes, self.settings.codes))
+        l_act = self.error(self.decoder(z_q, z_state, z_task), batch)
+        return {
+            "validation_loss": l_lat + l_act,
+            "validation_l_lat": l_lat,
+            "validation_l_act": l_act,
+            "validation_code_accuracy": (quantizer.most_likely(logits)[1] == codes).float().mean(-1),
+        }
+
+    def error(self, decoded: Tensor, batch: Batch) -> Tensor:
+        """L_act of each window, (B, k, A) -> (B,)."""
+        space = self.imitation.action_space
+        return losses.act(in_action_space(decoded, space), in_action_space(batch.chunk, space), batch.mask)
+
+    @torch.no_grad()
+    def plan(self, observation: Observation) -> Tensor:
+        """The chunk (B, k, A) of the likeliest codes."""
+        z_state, z_task = self.observer(observation)
+        onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
+        return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
+
+    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+        """Acts by its chunks."""
+        return ChunkPolicy(self, perception, acting)

@@ -1,0 +1,29 @@
+"""Settings of a backbone from `transformers`."""
+
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from acgd.settings import Section
+
+
+class HuggingFaceConfig(Section):
+    """A vision model of `transformers` from a local folder."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    gives_features: ClassVar[bool] = True
+
+    kind: Literal["huggingface"] = "huggingface"
+    path: Path | None = Field(None, description="A folder with config.json and *.safetensors. Required.")
+    size: int = Field(224, ge=16, description="Images are resized to this many pixels a side.")
+
+    @model_validator(mode="after")
+    def _model_exists(self) -> "HuggingFaceConfig":
+        if self.path is None or not (self.path / "config.json").is_file():
+            state = "nothing is set" if self.path is None else f"there is none at {self.path}"
+            raise ValueError(
+                "backbone.kind is huggingface: set backbone.path to a local folder with config.json and *.safetensors, "
+                f"as save_pretrained writes it; {state}"
+            )
+        return self

@@ -1,0 +1,26 @@
+"""Settings of the backbone R3M."""
+
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from acgd.settings import Section
+
+
+class R3MConfig(Section):
+    """R3M (Nair et al. 2022), the paper's backbone, from a local checkpoint."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    gives_features: ClassVar[bool] = True
+
+    kind: Literal["r3m"] = "r3m"
+    path: Path | None = Field(None, description="The checkpoint (model.pt). Required.")
+    size: int = Field(224, ge=16, description="Images are resized to this many pixels a side.")
+
+    @model_validator(mode="after")
+    def _checkpoint_exists(self) -> "R3MConfig":
+        if self.path is None or not self.path.is_file():
+            state = "nothing is set" if self.path is None else f"there is none at {self.path}"
+            raise ValueError(f"backbone.kind is r3m: set backbone.path to the checkpoint (model.pt); {state}")
+        return self
