@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.nn.excitation import measured
+from acgd.nn.excitation import to_loss_space
 from acgd.students import quantizer
 from acgd.students.action_encoder import ActionEncoder
 from acgd.students.decoder import Decoder
@@ -63,7 +63,7 @@ class Codebook(nn.Module):
 
     def measured(self, action: Tensor) -> Tensor:
         """Actions in the space in which they are encoded and compared."""
-        return measured(action, self.config.action_space)
+        return to_loss_space(action, self.config.action_space)
 
     def encode(self, chunk: Tensor, mask: Tensor) -> Tensor:
         """chunk (B, k, A), mask (B, k) -> logits of phi_act (B, G, n_c)."""

@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from acgd.nn.excitation import measured
+from acgd.nn.excitation import to_loss_space
 from acgd.students import quantizer
 from acgd.students.codebook import Codebook, Sizes
 from acgd.students.decoder import Decoder
@@ -53,7 +53,7 @@ class Student(nn.Module):
 
     def measured(self, action: Tensor) -> Tensor:
         """Actions in the space in which they are compared."""
-        return measured(action, self.config.action_space)
+        return to_loss_space(action, self.config.action_space)
 
     @torch.no_grad()
     def plan(self, features: Tensor, goal_features: Tensor | None, proprio_history: Tensor, task: Tensor) -> Tensor:
