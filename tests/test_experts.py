@@ -18,7 +18,7 @@ from acgd.experts.sac.replay import Replay
 from acgd.experts.sac.update import SACUpdate
 from acgd.experts.settings import DaggerConfig, ExpertRequest, ExpertSettings, PPOConfig, SACConfig
 from acgd.experts.training_env import StateOnly
-from acgd.nn.excitation import excitation
+from acgd.nn.excitation import stretched_excitation
 from acgd.nn.q_ensemble import Critic
 from acgd.tasks.settings import TaskConfig
 from acgd.tracking.metrics import Metrics
@@ -411,7 +411,7 @@ def test_dagger_learns_what_the_teacher_does(tmp_path):
     with open(tmp_path / "log", "w") as log:
         expert, points = dagger.train_dagger(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
     last = load_file(tmp_path / "round-002.safetensors")
-    wanted, given = excitation(last["actions"]), excitation(expert.mean_tensor(last["states"]))
+    wanted, given = stretched_excitation(last["actions"]), stretched_excitation(expert.mean_tensor(last["states"]))
     missed = (given - wanted).square().mean() / wanted.var(0).mean()
     assert missed < 0.5 and points[-1]["loss"] < 0.05
 

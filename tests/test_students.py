@@ -14,7 +14,7 @@ from torch import Tensor
 
 from acgd import students
 from acgd.critics.aggregate import AggregateCritic
-from acgd.nn.excitation import excitation
+from acgd.nn.excitation import stretched_excitation
 from acgd.nn.q_ensemble import Critic
 from acgd.store.stage import Context
 from acgd.students import fit_codebook, losses, quantizer
@@ -127,7 +127,7 @@ def test_excitation_is_what_myosuite_makes_of_an_action():
     a = torch.tensor([-1.0, 0.0, 1.0])
     u = 1 / (1 + torch.exp(-5 * (a - 0.5)))
     stretched = 2 * (u - u[0]) / (u[2] - u[0]) - 1
-    assert torch.allclose(excitation(a), stretched, atol=1e-6)
+    assert torch.allclose(stretched_excitation(a), stretched, atol=1e-6)
 
 
 # --- quantizer ------------------------------------------------------------------------------------------------

@@ -4,7 +4,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.nn.q_ensemble import STATE_CLIP, Critic, measured
+from acgd.nn.excitation import to_critic_input
+from acgd.nn.q_ensemble import STATE_CLIP, Critic
 
 
 class AggregateCritic(nn.Module):
@@ -75,7 +76,7 @@ class AggregateCritic(nn.Module):
 
     def _q(self, of_state: Tensor, action: Tensor) -> Tensor:
         """First layer's sum over the state (m * M, n, width), actions (m, n, A) -> output of the networks (m, M, n)."""
-        x = torch.baddbmm(of_state, self._per_member(measured(action, self.action_space)), self.weight_action)
+        x = torch.baddbmm(of_state, self._per_member(to_critic_input(action, self.action_space)), self.weight_action)
         for layer in range(self.depth):
             if layer:
                 x = torch.baddbmm(getattr(self, f"bias{layer}"), x, getattr(self, f"weight{layer}"))

@@ -1,19 +1,17 @@
 """Fitted Q evaluation: the ensemble regresses targets that it recomputes itself, with the expert frozen."""
 
-import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save
 from torch import Tensor
 
-from acgd.critics.settings import CriticConfig
+from acgd.critics.settings import FQESettings
 from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
-from acgd.nn.q_ensemble import Critic, measured
+from acgd.nn.excitation import to_critic_input
+from acgd.nn.q_ensemble import Critic
 from acgd.store import checkpoint
 
 ROWS_AT_ONCE = 8192
@@ -40,7 +38,7 @@ class FittedQ:
     The advantage of a dueling critic is in units of the median spread of z in a state.
     """
 
-    def __init__(self, data: Transitions, config: CriticConfig, gamma: float, device: torch.device) -> None:
+    def __init__(self, data: Transitions, config: FQESettings, gamma: float, device: torch.device) -> None:
         self.config, self.device, self.step = config, device, 0
         self.generator = torch.Generator().manual_seed(config.seed)
         self.targets = targets(data.reward, data.terminated, data.on_policy, data.ends, gamma, config.horizon)
@@ -77,10 +75,10 @@ class FittedQ:
         critic.scale.copy_(returns.std().clamp_min(1e-6))
 
     def update(self) -> dict[str, float]:
-        """One gradient step; returns what is worth a curve, in standardised returns, every `target_every` updates."""
-        told = {}
+        """One gradient step. Returns losses and targets, in standardised returns, every `target_every` updates, else nothing."""
+        losses = {}
         if self.step % self.config.target_every == 0:
-            told = self.refresh()
+            losses = self.refresh()
         config, critic = self.config, self.critic
         for group in self.optimiser.param_groups:
             group["lr"] = config.lr * 0.5 * (1 + math.cos(math.pi * self.step / config.updates))
@@ -96,19 +94,19 @@ class FittedQ:
             inner = (self._differences(inner) - self.difference[picked]) / self.unit[picked]
             branch_loss = inner.square().mean((1, 2)).sum()
             loss = loss + config.within_state * branch_loss
-            if told:
-                told["branch_loss"] = float(branch_loss.detach()) / config.members
+            if losses:
+                losses["branch_loss"] = float(branch_loss.detach()) / config.members
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         self.optimiser.step()
         self.step += 1
-        if told:
-            told["value_loss"] = float(value_loss.detach()) / config.members
-        return told
+        if losses:
+            losses["value_loss"] = float(value_loss.detach()) / config.members
+        return losses
 
     def _blurred(self, state: Tensor) -> Tensor:
-        """Normalised states (batch + G' K, S) with `state_noise`, the same for all actions of a branched state: a smooth advantage is one that
-        other states share, and what a fit makes of each state alone is lost."""
+        """Adds noise to normalised states (batch + G' K, S): one draw per state, shared by its K actions. This regularises the
+        advantage."""
         if not self.config.state_noise:
             return state
         single, actions = self.config.batch, self.config.branches.actions
@@ -129,7 +127,7 @@ class FittedQ:
         self.y, z = y, branch_targets(self.targets, value, self.groups) / self.critic.scale
         if self.step == 0 and self.config.dueling and len(z):
             self.critic.advantage_unit.copy_(z.std(1).median().clamp_min(1e-6))
-        self._adopt(z)
+        self._set_branch_targets(z)
         return {"target_shift": moved, "target_mean": float(returns.mean()), "target_std": float(returns.std())}
 
     @torch.no_grad()
@@ -140,7 +138,7 @@ class FittedQ:
         )
         return value[:, self.slot]
 
-    def _adopt(self, z: Tensor) -> None:
+    def _set_branch_targets(self, z: Tensor) -> None:
         """z (G, K), in standardised returns but for a constant."""
         self.z = z
         if not len(z):
@@ -155,10 +153,9 @@ class FittedQ:
 
     def _distances(self) -> Tensor:
         """(G, P) between the actions of each of the P pairs of a branched state, as the critic reads them"""
-        found = self._differences(measured(self.action[self.groups], self.config.action_space).movedim(2, 0)).norm(
-            dim=0
-        )
-        return found + NEAREST * found.median()
+        inputs = to_critic_input(self.action[self.groups], self.config.action_space)
+        distance = self._differences(inputs.movedim(2, 0)).norm(dim=0)
+        return distance + NEAREST * distance.median()
 
     def _differences(self, values: Tensor) -> Tensor:
         """(..., K) of the actions of a branched state -> (..., K) from their mean, or (..., P) between the two of each pair."""
@@ -169,31 +166,25 @@ class FittedQ:
 
     # -- checkpoint --------------------------------------------------------------------------------
 
-    def save(self, path: Path) -> None:
-        """Everything that the next updates depend on, in one file, replaced atomically."""
+    def save(self, state: Path) -> None:
+        """Writes everything that the next updates depend on into the folder `state`."""
         tensors = {f"critic.{name}": value for name, value in self.critic.state_dict().items()}
-        tensors |= checkpoint.moments_of(self.optimiser, "optimiser.") | {
-            "y": self.y,
-            "z": self.z,
-            "generator": self.generator.get_state(),
-        }
-        data = save({name: value.contiguous() for name, value in tensors.items()}, {"step": json.dumps(self.step)})
-        draft = path.with_suffix(".tmp")
-        with open(draft, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
+        tensors |= checkpoint.moments_of(self.optimiser, "optimiser.")
+        tensors |= {"y": self.y, "z": self.z, "generator": self.generator.get_state()}
+        checkpoint.save(state, tensors, {"step": self.step})
 
-    def resume(self, path: Path) -> None:
-        """Goes on from what `save` wrote, to the same bytes as if never stopped."""
-        tensors = load_file(path)
+    def resume(self, state: Path) -> None:
+        """Goes on from what `save` wrote, if anything, to the same bytes as if never stopped."""
+        saved = checkpoint.load(state)
+        if saved is None:
+            return
+        tensors, notes = saved
         self.critic.load_state_dict(checkpoint.under(tensors, "critic."))
         checkpoint.restore_moments(self.optimiser, tensors, "optimiser.")
         self.generator.set_state(tensors["generator"])
         self.y = tensors["y"].to(self.device)
-        self._adopt(tensors["z"].to(self.device))
-        self.step = round(float(tensors["optimiser.0.step"]))
+        self._set_branch_targets(tensors["z"].to(self.device))
+        self.step = notes["step"]
 
 
 def branch_targets(targets: Targets, next_value: Tensor, groups: Tensor) -> Tensor:

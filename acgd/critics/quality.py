@@ -5,6 +5,7 @@ of different actions tried in one and the same state asks what the guidance of a
 """
 
 import csv
+import json
 import math
 from pathlib import Path
 
@@ -15,54 +16,55 @@ from scipy import stats
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.perturbations import Kind
 from acgd.critics.ranks import rank_correlations
-from acgd.critics.settings import CriticConfig
+from acgd.critics.settings import QualityRequest
+from acgd.critics.simulated import lockstep
 from acgd.critics.transitions import Transitions
 from acgd.experts.policy import Expert
 from acgd.nn.q_ensemble import Critic
-from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
-from acgd.tracking.progress import Progress
+from acgd.store.stage import Context, Inputs
+from acgd.tasks.spec import TASKS
 
 VISIT_RATE = 0.25
 CONFIDENCE = 0.95
+STREAM = 1
+"""Of the section's seed: chance of states and candidates."""
 
 
-def measure(
-    critic: Critic, expert: Expert, lock: Lockstep, limit: int, config: CriticConfig, table: Path, progress: Progress
-) -> dict:
-    """The content of quality.json; the pairs behind it go to `table` (within_state.csv).
+def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
+    """{expert, critic} -> quality.json, and within_state.csv with the pairs behind it.
 
     Returns are of `tail` simulated steps, past the time limit if need be. What is cut off weighs gamma^tail and is
     nearly the same for all candidates of a state, since the expert brings them together again.
     """
-    quality, gamma = config.quality, expert.meta["gamma"]
-    noise = np.random.default_rng([config.seed, 1])
-    with progress(quality.states * (limit + quality.tail), "quality: held-out rollouts, steps at most") as bar:
+    quality, limit = request.quality, TASKS[request.task.name].horizon
+    expert, critic = Expert.load(inputs["expert"]), Critic.load(inputs["critic"]).to(ctx.device)
+    gamma, lock = expert.meta["gamma"], lockstep(request.task, expert)
+    rng = np.random.default_rng([quality.seed, STREAM])
+    with ctx.progress(quality.states * (limit + quality.tail), "quality: held-out rollouts, steps at most") as bar:
         data, visits, kinds = rollouts(
             lock,
             expert,
-            config.perturbation,
+            quality.perturbation,
             SEEDS.critic_quality,
             limit=limit,
             beyond=quality.tail,
             episodes=quality.states,
             visit_rate=VISIT_RATE,
-            seed=config.seed,
+            seed=quality.seed,
             bar=bar,
         )
-    chosen = one_per_episode(visits, noise)
-    actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, noise)
-    with progress(
-        actions.shape[0] * actions.shape[1] * quality.tail, "quality: candidate actions, steps at most"
-    ) as bar:
+    chosen = one_per_episode(visits, rng)
+    actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, rng)
+    steps = actions.shape[0] * actions.shape[1] * quality.tail
+    with ctx.progress(steps, "quality: candidate actions, steps at most") as bar:
         tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
     first = tried.starts
     returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
     q = _values(critic, tried.state[first], tried.action[first]).mean(0).reshape(returns.shape)
-    _write(table, sources, q, returns)
     near = [k for k, source in enumerate(sources) if source != "uniform"]
     spread = float(critic.spread)
-    return {
+    content = {
         "bellman_error": bellman_error(critic, data, gamma),
         "rank_correlation_monte_carlo": _monte_carlo(critic, data, kinds, limit, gamma, quality.tail),
         "within_state": interval(rank_correlations(q, returns)) | {"candidates": quality.candidates},
@@ -77,6 +79,8 @@ def measure(
         "cut_off_weight": gamma**quality.tail,
         "simulator_steps": len(data) + len(tried),
     }
+    _write(ctx.out / "within_state.csv", sources, q, returns)
+    (ctx.out / "quality.json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit]:
@@ -84,7 +88,7 @@ def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit
     by_episode: dict[int, list[Visit]] = {}
     for visit in visits:
         by_episode.setdefault(visit.episode, []).append(visit)
-    return [found[rng.integers(1, len(found))] if len(found) > 1 else found[0] for found in by_episode.values()]
+    return [those[rng.integers(1, len(those))] if len(those) > 1 else those[0] for those in by_episode.values()]
 
 
 def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
@@ -101,10 +105,13 @@ def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
 
 
 def interval(values: np.ndarray) -> dict[str, float | int]:
-    """Mean over states and its 95% interval by Student's t; states without an order of returns are left out."""
+    """Mean over states and its 95% interval by Student's t; states whose returns are all equal are left out.
+
+    Of one state or none the interval is that of all correlations, [-1, 1].
+    """
     values = values[~np.isnan(values)]
     if len(values) < 2:
-        raise ValueError("fewer than two states tell their candidate actions apart: raise critic.quality.states")
+        return {"mean": float(values.sum()), "low": -1.0, "high": 1.0, "states": len(values)}
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values)))
     return {
         "mean": float(values.mean()),
@@ -118,11 +125,12 @@ def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
     """Root mean square of Q(s, a) - r - gamma (1 - terminated) Q(s', pi_E(s')), over the std of that target."""
     target = data.reward + gamma * ~data.terminated * _values(critic, data.next_state, data.next_action).mean(0)
     error = _values(critic, data.state, data.action).mean(0) - target
-    return float(np.sqrt((error**2).mean()) / target.std())
+    return float(np.sqrt((error**2).mean()) / max(target.std(), 1e-12))
 
 
 def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: int, gamma: float, tail: int) -> float:
-    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit."""
+    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit; 0 where all
+    returns are equal."""
     returns = discounted(data, gamma, tail)
     rows = np.concatenate(
         [
@@ -132,19 +140,21 @@ def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: in
         ]
     )
     q = _values(critic, data.state[rows], data.action[rows]).mean(0)
+    if np.ptp(q) == 0 or np.ptp(returns[rows]) == 0:
+        return 0.0
     return float(stats.spearmanr(q, returns[rows]).statistic)
 
 
 def _preferences(sources: list[str], q: np.ndarray, returns: np.ndarray) -> dict[str, dict[str, float]]:
     """By source of the candidate: how often the expert's mean is better than it, to the critic and in the simulator."""
-    found = {}
+    preferences = {}
     for source in dict.fromkeys(sources[1:]):
         columns = [k for k, name in enumerate(sources) if name == source]
-        found[source] = {
+        preferences[source] = {
             "critic": float((q[:, :1] > q[:, columns]).mean()),
             "simulator": float((returns[:, :1] > returns[:, columns]).mean()),
         }
-    return found
+    return preferences
 
 
 @torch.no_grad()

@@ -1,10 +1,14 @@
-"""The critic section: data, fit and quality of one expert's Q."""
+"""Where the critic of an expert comes from, how it is fitted, and how it is judged."""
 
-from typing import Literal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from acgd.settings import Section
+from acgd.critics.kinds import CRITICS
+from acgd.experts import zoo
+from acgd.settings import OUTSIDE_KEY, Request, Section, one_of
 from acgd.tasks.settings import TaskConfig
 
 
@@ -43,29 +47,10 @@ class BranchConfig(Section):
     )
 
 
-class QualityConfig(Section):
-    """How a fitted critic is judged, on episodes that the fit has not seen."""
+class FQESettings(Section):
+    """Q of the frozen expert by fitted Q evaluation with an ensemble of LayerNorm networks."""
 
-    states: int = Field(
-        32,
-        ge=2,
-        description="Held-out episodes, perturbed like those of the fit; in one state of each, candidate actions are ranked.",
-    )
-    candidates: int = Field(16, ge=4, description="Candidate first actions in a state.")
-    tail: PositiveInt = Field(
-        40,
-        description="Steps simulated per candidate, past the time limit if need be; what is cut off weighs gamma^tail.",
-    )
-
-
-class CriticConfig(Section):
-    """Q of a frozen expert: by fitted Q evaluation with an ensemble of LayerNorm networks, ready from zoo/, or the expert's own."""
-
-    source: Literal["fqe", "zoo", "expert"] = Field(
-        "fqe",
-        description="fqe: fitted to the frozen expert; zoo: the one so fitted that lies beside the expert in zoo/; expert: the critics that an off-policy "
-        "expert (SAC) has learned.",
-    )
+    kind: Literal["fqe"] = "fqe"
     members: PositiveInt = Field(2, description="Networks in the ensemble.")
     width: PositiveInt = Field(128, description="Units of a hidden layer.")
     depth: PositiveInt = Field(2, description="Hidden layers.")
@@ -107,13 +92,116 @@ class CriticConfig(Section):
     )
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")
     checkpoint_every: PositiveInt = Field(
-        1000, description="Updates between two checkpoints.", json_schema_extra={"key": False}
+        1000, description="Updates between two checkpoints.", json_schema_extra=OUTSIDE_KEY
     )
-    quality: QualityConfig = QualityConfig()
+
+    @model_validator(mode="after")
+    def _enough_states_to_branch_from(self) -> "FQESettings":
+        if self.branches.states > self.steps:
+            raise ValueError(
+                f"{self.branches.states} branched states are drawn from the rollouts, and these have {self.steps} steps. "
+                "Raise critic.steps, or lower critic.branches.states."
+            )
+        return self
+
+    def files(self, task: str) -> tuple[Path, ...]:
+        """None."""
+        return ()
+
+    def faults(self, task: str, expert: Any) -> Iterator[str]:
+        """None: every expert can be evaluated."""
+        return iter(())
 
 
-class CriticRequest(Section):
+class ZooCriticSettings(Section):
+    """The critic in zoo/, which was fitted to the expert there."""
+
+    kind: Literal["zoo"] = "zoo"
+
+    def files(self, task: str) -> tuple[Path, ...]:
+        """The critic."""
+        return zoo.critic_files(task)
+
+    def faults(self, task: str, expert: Any) -> Iterator[str]:
+        """No such critic, or another expert than that of the zoo."""
+        if expert.kind != "zoo":
+            yield (
+                f"critic.kind: the critics in zoo/ judge the experts there, and {task} trains one. "
+                "Set critic.kind: fqe, or expert.kind: zoo."
+            )
+        elif not zoo.has_fitted_critic(task):
+            yield (
+                f"critic.kind: zoo/ has no critic for {task}. "
+                f"Set critic.kind: fqe, or take tasks whose critics it has: {zoo.tasks_with(zoo.has_fitted_critic)}."
+            )
+
+
+class ExpertCriticSettings(Section):
+    """The critics that an off-policy expert (SAC) has trained beside its policy. Rollouts measure the spread of their Q."""
+
+    kind: Literal["expert"] = "expert"
+    steps: PositiveInt = Field(6000, description="Simulator steps of these rollouts, to the end of the last episode.")
+    perturbation: PerturbationConfig = PerturbationConfig()
+    seed: int = Field(0, ge=0, description="Seed of perturbations and of the actions whose Q is compared.")
+
+    def files(self, task: str) -> tuple[Path, ...]:
+        """None."""
+        return ()
+
+    def faults(self, task: str, expert: Any) -> Iterator[str]:
+        """An expert without critics."""
+        if not expert.has_critics(task):
+            what = (
+                f"the expert in zoo/ for {task}" if expert.kind == "zoo" else f"the expert that is trained for {task}"
+            )
+            yield (
+                f"critic.kind: {what} has no critics, only an off-policy learner trains them. Set critic.kind: fqe, "
+                f"expert.kind: sac, or take a task whose expert in zoo/ has critics: {zoo.tasks_with(zoo.has_own_critics)}."
+            )
+
+
+CriticConfig = one_of(CRITICS, default="fqe")
+
+
+class CriticRequest(Request):
     """What the critic of one task depends on, besides the expert's artifact."""
 
     task: TaskConfig
-    critic: CriticConfig
+    critic: CriticConfig = Field(default_factory=FQESettings)
+
+    def files(self) -> tuple[Path, ...]:
+        """The critic in zoo/, where it is taken from there."""
+        return self.critic.files(self.task.name)
+
+
+class QualityConfig(Section):
+    """How a critic is judged, on episodes that no fit has seen."""
+
+    states: int = Field(
+        32,
+        ge=2,
+        description="Held-out episodes, perturbed; in one state of each, candidate actions are ranked.",
+    )
+    candidates: int = Field(16, ge=4, description="Candidate first actions in a state.")
+    tail: PositiveInt = Field(
+        40,
+        description="Steps simulated per candidate, past the time limit if need be; what is cut off weighs gamma^tail.",
+    )
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Of these episodes.")
+    seed: int = Field(0, ge=0, description="Seed of perturbations, states and candidates.")
+
+    @model_validator(mode="after")
+    def _has_a_clean_episode(self) -> "QualityConfig":
+        if self.perturbation.clean * self.states < 1 - 1e-9:
+            raise ValueError(
+                f"none of {self.states} episodes would be clean, and the correlation with returns is measured on these. "
+                "Raise quality.perturbation.clean or quality.states."
+            )
+        return self
+
+
+class QualityRequest(Request):
+    """What the quality of a critic depends on, besides the artifacts of critic and expert."""
+
+    task: TaskConfig
+    quality: QualityConfig = QualityConfig()

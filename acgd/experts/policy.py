@@ -100,7 +100,9 @@ class Expert(nn.Module):
         weights, meta = folder / "policy.safetensors", folder / "policy.json"
         for path in (weights, meta):
             if not path.is_file():
-                raise FileNotFoundError(f"no {path}: set expert.source to train, or restore zoo/ from the repository")
+                raise FileNotFoundError(
+                    f"no {path}: train an expert (expert.kind: ppo), or restore zoo/ from the repository"
+                )
         tensors = load_file(weights)
         width, state_dim = tensors["hidden1.weight"].shape
         action_dim = tensors["action.weight"].shape[0]

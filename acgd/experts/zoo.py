@@ -1,58 +1,69 @@
-"""Where the trained experts that come with the product lie."""
+"""Where the trained experts that come with the project lie, and their fitted critics. Paths only."""
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from acgd.tasks.spec import TASKS
+
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
-FILES = ("policy.safetensors", "policy.json", "card.json", "curve.csv")
+POLICY = ("policy.safetensors", "policy.json")
 CRITIC = ("critic.safetensors", "critic.json")
-"""An off-policy expert's own critics, as the critic stage saves them."""
+"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER the
+one that was fitted to the frozen expert."""
+CARD = ("card.json", "curve.csv")
+FILES = POLICY + CARD
+CRITIC_FOLDER = "critic"
 
 
-def folder(task: str, root: Path | None = None) -> Path:
+def folder(task: str) -> Path:
     """`myo/key-turn` -> zoo/myo-key-turn."""
-    return (root or ROOT) / task.replace("/", "-")
+    return ROOT / task.replace("/", "-")
+
+
+def policy_files(task: str) -> tuple[Path, ...]:
+    """The policy, and the critics that were trained beside it, if any."""
+    critics = CRITIC if has_own_critics(task) else ()
+    return tuple(folder(task) / name for name in POLICY + critics)
+
+
+def card_files(task: str) -> tuple[Path, ...]:
+    """Card and learning curve."""
+    return tuple(folder(task) / name for name in CARD)
+
+
+def critic_files(task: str) -> tuple[Path, ...]:
+    """The critic that was fitted to a task's expert."""
+    return tuple(folder(task) / CRITIC_FOLDER / name for name in CRITIC)
 
 
 def missing(task: str) -> list[str]:
-    """Files that the zoo lacks for a task; none where it has an expert."""
+    """Files of an expert that the zoo lacks for a task; none where it has the expert."""
     return [name for name in FILES if not (folder(task) / name).is_file()]
 
 
 def has_expert(task: str) -> bool:
-    """Whether all of them are there."""
+    """Whether the zoo has an expert for a task."""
     return not missing(task)
 
 
-def files(task: str) -> tuple[Path, ...]:
-    """The files of a task's expert, and of its own critics where it has them."""
-    return tuple(folder(task) / name for name in FILES) + tuple(
-        path for name in CRITIC if (path := folder(task) / name).is_file()
-    )
-
-
-CRITIC_FOLDER = "critic"
-FITTED = ("critic.safetensors", "critic.json", "quality.json", "within_state.csv")
-
-
-def fitted_critic(task: str) -> tuple[Path, ...]:
-    """The files of the critic that was fitted to a task's expert."""
-    return tuple(folder(task) / CRITIC_FOLDER / name for name in FITTED)
-
-
-def read_by(stage: str, request: Any) -> tuple[Path, ...]:
-    """The files that an artifact is made from, besides its inputs: they are part of its key."""
-    if stage == "expert":
-        task = request.task.name if request.expert.source == "zoo" else request.expert.first_task
-        return files(task) if task else ()
-    return fitted_critic(request.task.name) if stage == "critic" and request.critic.source == "zoo" else ()
+def has_own_critics(task: str) -> bool:
+    """Whether that expert comes with critics that were trained beside its policy."""
+    return all((folder(task) / name).is_file() for name in CRITIC)
 
 
 def has_fitted_critic(task: str) -> bool:
-    """Whether the zoo has that critic."""
-    return all(path.is_file() for path in fitted_critic(task))
+    """Whether the zoo has a critic that was fitted to that expert."""
+    return all(path.is_file() for path in critic_files(task))
 
 
-def has_own_critics(task: str) -> bool:
-    """Whether the zoo has the critics that a task's expert learned itself."""
-    return all((folder(task) / name).is_file() for name in CRITIC)
+def tasks_with(there: Callable[[str], bool]) -> str:
+    """Names of the tasks for which `there` holds, for messages."""
+    return ", ".join(filter(there, TASKS)) or "none yet"
+
+
+def faults(tasks: Iterable[tuple[str, Any, Any]]) -> Iterator[str]:
+    """What is wrong with (task, its expert's settings, its critic's settings), fault by fault, each with its mend."""
+    for task, expert, critic in tasks:
+        yield from expert.faults(task)
+        yield from critic.faults(task, expert)

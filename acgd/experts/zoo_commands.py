@@ -25,10 +25,10 @@ def add_parser(subparsers) -> None:
 
 
 def _entries():
-    from acgd.experts.train import ZOO
+    from acgd.experts import zoo
     from acgd.tasks.spec import TASKS
 
-    return [(spec, ZOO / spec.slug) for spec in TASKS.values() if (ZOO / spec.slug).is_dir()]
+    return [(spec, folder) for spec in TASKS.values() if (folder := zoo.folder(spec.name)).is_dir()]
 
 
 def _find(name: str):
@@ -52,7 +52,7 @@ def _list(args: argparse.Namespace) -> int:
 
 
 def _verify(args: argparse.Namespace) -> int:
-    from acgd.experts.train import check, other_versions
+    from acgd.experts.card import check, other_versions
 
     bad = 0
     for spec, folder in _entries():
@@ -68,21 +68,21 @@ def _verify(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
+    from acgd.experts.card import other_versions, read, success
     from acgd.experts.policy import Expert
     from acgd.experts.success import episodes
-    from acgd.experts.train import check, other_versions, wilson
     from acgd.simulate.seeds import SEEDS
     from acgd.tasks.settings import TaskConfig
 
     spec, folder = _find(args.task)
-    for note in other_versions(check(folder)):
+    for note in other_versions(read(folder)):
         print(f"warning: {note}", file=sys.stderr)
     count = 1 if args.start == "nominal" else args.episodes
     rows = episodes(
         Expert.load(folder), TaskConfig(name=spec.name, start=args.start), SEEDS.expert_card.take(count, args.seed)
     )
     result = {"task": spec.name, "start": args.start, "episodes": count, "first_seed": rows[0]["seed"],
-              "success": {rule: wilson([row[rule] for row in rows]) for rule in ("final", "held", "once")}}  # fmt: skip
+              "success": success(rows)}  # fmt: skip
     if args.json:
         print(json.dumps(result))
     else:
@@ -92,11 +92,11 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _card(args: argparse.Namespace) -> int:
+    from acgd.experts.card import described_by, measured, write
     from acgd.experts.settings import ExpertRequest
-    from acgd.experts.train import card, write_card
 
-    spec, folder = _find(args.task)
+    _, folder = _find(args.task)
     request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
-    request = request.model_copy(update={"expert": request.expert.model_copy(update={"card_episodes": args.episodes})})
-    write_card(card(request, folder), folder)
+    card = described_by(request.expert, request.task, folder) | measured(folder, request.task, args.episodes)
+    write(card, folder)
     return _list(args)

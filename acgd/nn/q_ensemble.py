@@ -5,26 +5,19 @@ SAC learns two of them beside its policy; fitted Q evaluation fits them to a fro
 
 import json
 from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from acgd.nn.excitation import ActionSpace, to_critic_input
+
 WEIGHTS, META = "critic.safetensors", "critic.json"
 FIRST = "weights.0"
 STATE_CLIP = 10.0
 """Normalised states are clipped here: a freak state must not throw a frozen critic off its data."""
-
-
-ActionSpace = Literal["raw", "excitation"]
-
-
-def measured(action: Tensor, space: ActionSpace) -> Tensor:
-    """Actions in [-1, 1] as a critic reads them. MyoSuite's muscles receive 1 / (1 + exp(-5 (a - 0.5))): half of the
-    action box is nearly no excitation, and Q nearly flat there."""
-    return 2 * torch.sigmoid(5 * (action - 0.5)) - 1 if space == "excitation" else action
 
 
 class Critic(nn.Module):
@@ -119,7 +112,7 @@ class Critic(nn.Module):
 
     def network(self, normal_state: Tensor, action: Tensor) -> Tensor:
         """`standard` for states that are normalised already."""
-        action = measured(action, self.shape["action_space"])
+        action = to_critic_input(action, self.shape["action_space"])
         x = torch.cat([normal_state, action], -1).expand(self.members, -1, -1)
         if self.shape["dueling"]:
             blind = torch.cat([normal_state, torch.zeros_like(action)], -1).expand(self.members, -1, -1)

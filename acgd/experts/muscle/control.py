@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
-from acgd.experts.settings import DaggerConfig
+from acgd.experts.muscle.settings import ControllerSettings
 from acgd.nn.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
@@ -32,10 +32,10 @@ class MuscleControl:
     On a pose task it takes `detour`, or the known one, if any.
     """
 
-    def __init__(self, env: MyoDexTask, settings: DaggerConfig, detour: Detour | None = None) -> None:
+    def __init__(self, env: MyoDexTask, settings: ControllerSettings, detour: Detour | None = None) -> None:
         if env.task.kind not in _ERRORS:
             raise ValueError(
-                f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.algorithm to ppo or sac"
+                f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.kind to ppo or sac"
             )
         self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
         self._detour = detour or DETOURS.get(env.task.name)

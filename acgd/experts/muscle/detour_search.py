@@ -1,4 +1,4 @@
-"""Finds a pose task's detour (acgd/experts/detours.py) by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
+"""Finds a pose task's detour (acgd/experts/muscle/detours.py) by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
 
     python -m acgd.experts.muscle.detour_search myo/pose-hard
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.muscle.detours import CLENCHED, Detour
-from acgd.experts.settings import DaggerConfig
+from acgd.experts.muscle.settings import ControllerSettings
 from acgd.simulate.seeds import SEEDS
 from acgd.tasks import registry
 from acgd.tasks.myodex import MyoDexTask
@@ -29,10 +29,10 @@ SOLVED, SOFT, FAR = 0.7, 0.1, 2.0
 
 
 @dataclass(frozen=True)
-class Found:
-    """The middle of a generation."""
+class Generation:
+    """The centre of a generation's distribution."""
 
-    generation: int
+    number: int
     detour: Detour
     rate: float
     score: float
@@ -40,8 +40,8 @@ class Found:
 
 
 def search(
-    task: str, settings: DaggerConfig, *, population: int = 16, episodes: int = 8, seed: int = 0
-) -> Iterator[Found]:
+    task: str, settings: ControllerSettings, *, population: int = 16, episodes: int = 8, seed: int = 0
+) -> Iterator[Generation]:
     """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same detours."""
     env = registry.make(TaskConfig(name=task), image=False)
     if env.task.kind != "pose":
@@ -55,10 +55,10 @@ def search(
         evolution.tell(candidates, scores)
         generation += 1
         detour, middle = _teacher(evolution.mean, settings)
-        yield Found(generation, detour, middle.rate, float(np.mean(scores)))
+        yield Generation(generation, detour, middle.rate, float(np.mean(scores)))
 
 
-def score(env: MyoDexTask, detour: Detour, settings: DaggerConfig, seeds: list[int]) -> float:
+def score(env: MyoDexTask, detour: Detour, settings: ControllerSettings, seeds: list[int]) -> float:
     """How far from their goals episodes end, rad, and 1 for those beyond SOLVED; the mean over `seeds`, less is better."""
     teacher, errors = MuscleControl(env, settings, detour), []
     for seed in seeds:
@@ -85,7 +85,7 @@ def _vector() -> np.ndarray:
     )
 
 
-def _teacher(vector: np.ndarray, settings: DaggerConfig) -> tuple[Detour, DaggerConfig]:
+def _teacher(vector: np.ndarray, settings: ControllerSettings) -> tuple[Detour, ControllerSettings]:
     """The inverse: a detour, and the teacher's settings with its rate."""
     posture, share, (steps, gain, rate) = np.split(vector, [len(CLENCHED), 2 * len(CLENCHED)])
     detour = Detour(steps=max(0, round(10 * steps)), gain=float(np.exp(gain)), posture=posture, share=share)
@@ -97,14 +97,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", help="a pose task, such as myo/pose-hard")
     parser.add_argument("--generations", type=int, default=100)
-    parser.add_argument("--damping", type=float, default=0.3, help="of the teacher, as in expert.dagger")
+    parser.add_argument(
+        "--damping", type=float, default=0.3, help="of the teacher, as in the expert's settings of kind muscle"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    for found in search(asked.task, DaggerConfig(damping=asked.damping), seed=asked.seed):
-        posture, share = (np.round(angles, 2).tolist() for angles in (found.detour.posture, found.detour.share))
-        print(f"{found.generation}: score {found.score:.3f}, rate {found.rate:.2f}, steps {found.detour.steps}, "
-              f"gain {found.detour.gain:.2f}, posture {posture}, share {share}", flush=True)  # fmt: skip
-        if found.generation >= asked.generations:
+    args = parser.parse_args()
+    for centre in search(args.task, ControllerSettings(damping=args.damping), seed=args.seed):
+        posture, share = (np.round(angles, 2).tolist() for angles in (centre.detour.posture, centre.detour.share))
+        print(f"{centre.number}: score {centre.score:.3f}, rate {centre.rate:.2f}, steps {centre.detour.steps}, "
+              f"gain {centre.detour.gain:.2f}, posture {posture}, share {share}", flush=True)  # fmt: skip
+        if centre.number >= args.generations:
             return
 
 

@@ -1,8 +1,8 @@
-"""DAgger (Ross et al. 2011) from muscle control: an expert without trial and error, where a teacher can be derived.
+"""Imitation of the muscle controller by dataset aggregation (Ross et al. 2011): an expert without trial and error.
 
-In every round the present policy acts, with noise (in the first, the teacher), and the teacher says what it would have done in each state;
-the policy is fitted to all rounds so far. A round is one file, restarted with seeds that depend on the round alone: a killed run goes on
-with the round it was in, and ends with the same bytes.
+In every round the present policy acts, with noise (in the first, the controller). The controller gives its action in each
+visited state, and the policy is fitted to all rounds so far. A round is one file, and its seeds depend on the round
+alone: a killed run goes on with the round it was in, and ends with the same bytes.
 """
 
 from pathlib import Path
@@ -14,10 +14,11 @@ from torch import Tensor
 
 from acgd.experts.curve import Curve
 from acgd.experts.muscle.control import MuscleControl
+from acgd.experts.muscle.settings import MuscleSettings
 from acgd.experts.policy import Expert
-from acgd.experts.settings import DaggerConfig, ExpertRequest
+from acgd.experts.settings import ExpertRequest
 from acgd.experts.training_env import StateOnly
-from acgd.nn.excitation import excitation
+from acgd.nn.excitation import stretched_excitation
 from acgd.store import checkpoint
 from acgd.store.atomic import replace_file
 
@@ -27,52 +28,52 @@ EPSILON = 1e-4
 """Least standard deviation of a state's normaliser."""
 
 
-def train_dagger(
-    config: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
-) -> tuple[Expert, list[dict]]:
-    """Train, or go on from the checkpoint in `state`; the network runs on `device`. Returns the best expert and the curve, whose
-    steps are labelled states.
+def train_muscle(
+    request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
+) -> tuple[Path, list[dict]]:
+    """Train, or go on from the checkpoint in `state`; the network runs on `device`. Returns the folder of the best expert, and
+    the learning curve, whose steps are labelled states.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
-    settings, dagger = config.expert, config.expert.dagger
-    envs = [StateOnly(config, i) for i in range(dagger.envs)]
-    teachers = [MuscleControl(env.unwrapped, dagger) for env in envs]
+    settings: MuscleSettings = request.expert
+    envs = [StateOnly(request, i) for i in range(settings.envs)]
+    teachers = [MuscleControl(env.unwrapped, settings) for env in envs]
     meta = {
-        "task": config.task.name,
-        "gamma": dagger.gamma,
+        "task": request.task.name,
+        "gamma": settings.gamma,
         "reward_weights": settings.reward_weights,
-        "algorithm": "dagger",
+        "algorithm": settings.kind,
     }
-    expert = _first(envs[0], dagger, settings.seed, meta).to(device)
-    optimiser = torch.optim.Adam(expert.parameters(), lr=dagger.learning_rate, eps=1e-5)
-    found = checkpoint.load(state)
+    expert = _first(envs[0], settings, meta).to(device)
+    optimiser = torch.optim.Adam(expert.parameters(), lr=settings.learning_rate, eps=1e-5)
+    saved = checkpoint.load(state)
     done, points = 0, []
-    if found is not None:
-        checkpoint.restore(found[0], expert, optimiser, {})
-        done, points = found[1]["rounds"], found[1]["curve"]
+    if saved is not None:
+        checkpoint.restore(saved[0], expert, optimiser, {})
+        done, points = saved[1]["rounds"], saved[1]["curve"]
     known = [load_file(_file(state, i)) for i in range(done)]
-    curve = Curve(config, state, metrics, points)
-    size = dagger.steps // dagger.rounds
+    curve = Curve(request, state, metrics, points)
+    size = settings.steps // settings.rounds
     metrics.rewind(done * size)
-    with progress(dagger.steps, f"expert {config.task.name}", done=done * size) as bar:
-        while done < dagger.rounds:
+    with progress(settings.steps, f"expert {request.task.name}", done=done * size) as bar:
+        while done < settings.rounds:
             file = _file(state, done)
             if not file.is_file():
                 new = _round(envs, teachers, None if done == 0 else expert, size, [settings.seed, done])
-                replace_file(file, lambda draft: save_file(new, draft))
+                replace_file(file, lambda draft, new=new: save_file(new, draft))
             known.append(load_file(file))
             states, actions = (torch.cat([part[name] for part in known]).to(device) for name in ("states", "actions"))
             if done == 0:
                 expert.state_mean.copy_(states.mean(0))
                 expert.state_std.copy_(states.std(0).clamp_min(EPSILON))
-            loss = _fit(expert, optimiser, states, actions, dagger, settings.seed, done)
+            loss = _fit(expert, optimiser, states, actions, settings, done)
             done += 1
             point = curve.add(expert, done * size, loss=loss)
             bar.update(size, final=point["final"], ret=point["return"])
             metrics.flush()
             _save(state, expert, optimiser, {"rounds": done, "curve": curve.points})
-    return Expert.load(state / "best"), curve.points
+    return state / "best", curve.points
 
 
 def _file(state: Path, number: int) -> Path:
@@ -84,12 +85,12 @@ def _save(state: Path, expert: Expert, optimiser: torch.optim.Optimizer, notes: 
     checkpoint.save(state, checkpoint.training_state(expert, optimiser, {}), notes)
 
 
-def _first(env: StateOnly, dagger: DaggerConfig, seed: int, meta: dict) -> Expert:
+def _first(env: StateOnly, settings: MuscleSettings, meta: dict) -> Expert:
     """A policy whose layers start like torch's, with the spread of `exploration`."""
     with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        expert = Expert(env.observation_space.shape[0], env.action_space.shape[0], dagger.width, meta)
-    expert.log_std.fill_(float(np.log(dagger.exploration)))
+        torch.manual_seed(settings.seed)
+        expert = Expert(env.observation_space.shape[0], env.action_space.shape[0], settings.width, meta)
+    expert.log_std.fill_(float(np.log(settings.exploration)))
     return expert
 
 
@@ -103,11 +104,11 @@ def _round(
     now = np.stack([env.reset()[0] for env in envs])
     states, actions = [], []
     for _ in range(size // len(envs)):
-        wanted = np.stack([teacher.action() for teacher in teachers])
+        labels = np.stack([teacher.action() for teacher in teachers])
         states.append(now.copy())
-        actions.append(wanted)
-        noise = rng.standard_normal(wanted.shape).astype(np.float32)
-        taken = wanted if expert is None else expert.act(now, noise)
+        actions.append(labels)
+        noise = rng.standard_normal(labels.shape).astype(np.float32)
+        taken = labels if expert is None else expert.act(now, noise)
         for i, env in enumerate(envs):
             after, _, terminated, truncated, _ = env.step(taken[i])
             now[i] = env.reset()[0] if terminated or truncated else after
@@ -119,22 +120,21 @@ def _fit(
     optimiser: torch.optim.Optimizer,
     states: Tensor,
     actions: Tensor,
-    dagger: DaggerConfig,
-    seed: int,
+    settings: MuscleSettings,
     done: int,
 ) -> float:
-    """`epochs` passes over all that is known; the step size falls linearly over the rounds. Returns the last pass's mean loss."""
+    """`epochs` passes over all labelled states; the step size falls linearly over the rounds. Returns the mean loss of the last pass."""
     for group in optimiser.param_groups:
-        group["lr"] = dagger.learning_rate * (1 - done / dagger.rounds)
-    generator = torch.Generator().manual_seed(seed * 1_000_003 + done)
+        group["lr"] = settings.learning_rate * (1 - done / settings.rounds)
+    generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + done)
     normal = expert.normalised(states)
-    excitations = excitation(actions)
+    excitations = stretched_excitation(actions)
     expert.requires_grad_(True)
-    for _ in range(dagger.epochs):
+    for _ in range(settings.epochs):
         losses = []
-        for rows in torch.randperm(len(states), generator=generator).to(states.device).split(dagger.batch):
+        for rows in torch.randperm(len(states), generator=generator).to(states.device).split(settings.batch):
             mean, _ = expert.network(normal[rows])
-            loss = (excitation(mean) - excitations[rows]).square().mean() + ACTION_WEIGHT * (
+            loss = (stretched_excitation(mean) - excitations[rows]).square().mean() + ACTION_WEIGHT * (
                 mean - actions[rows]
             ).square().mean()
             optimiser.zero_grad()

@@ -16,8 +16,9 @@ from acgd.experts.curve import Curve
 from acgd.experts.muscle.control import MuscleControl
 from acgd.experts.policy import KNOWN_STATES, Expert
 from acgd.experts.sac.replay import Replay
+from acgd.experts.sac.settings import SACSettings
 from acgd.experts.sac.update import SACUpdate
-from acgd.experts.settings import ExpertRequest, ExpertSettings
+from acgd.experts.settings import ExpertRequest
 from acgd.experts.training_env import StateOnly
 from acgd.nn.q_ensemble import Critic
 from acgd.store import checkpoint
@@ -31,49 +32,48 @@ LONGEST_HOLD = 16
 
 
 def train_sac(
-    config: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
-) -> tuple[Expert, list[dict]]:
-    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the best expert and the learning curve.
+    request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
+) -> tuple[Path, list[dict]]:
+    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the folder of the best expert, which
+    holds its critics, too, and the learning curve.
 
-    The best is chosen by (final success, return) on validation seeds, never on the card's; its critics lie beside it.
+    The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
-    settings, sac = config.expert, config.expert.sac
-    envs = [StateOnly(config, i) for i in range(sac.envs)]
-    teachers = (
-        [MuscleControl(env.unwrapped, settings.dagger) for env in envs] if settings.warm_start == "dagger" else []
-    )
+    sac: SACSettings = request.expert
+    envs = [StateOnly(request, i) for i in range(sac.envs)]
+    teachers = [MuscleControl(env.unwrapped, sac.muscle) for env in envs] if sac.muscle else []
     state_dim, action_dim = envs[0].observation_space.shape[0], envs[0].action_space.shape[0]
-    learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(settings.seed), device)
+    learner = SACUpdate(state_dim, action_dim, sac, torch.Generator().manual_seed(sac.seed), device)
     replay = Replay(state / "replay", sac.steps, state_dim, action_dim, sac.n_step, sac.gamma, sac.envs)
     statistics = _Statistics(state_dim)
-    curve = Curve(config, state, metrics, [])
+    curve = Curve(request, state, metrics, [])
     done = _load(state, learner, replay, statistics, curve)
-    if settings.first_task and not done:
-        first = zoo.folder(settings.first_task)
+    if sac.first_task and not done:
+        first = zoo.folder(sac.first_task)
         learner.start_from(Expert.load(first), Critic.load(first))
         statistics.start_from(learner.critic)
     metrics.rewind(done)
-    meta = {"task": config.task.name, "gamma": sac.gamma, "reward_weights": settings.reward_weights, "algorithm": "sac"}
+    meta = {"task": request.task.name, "gamma": sac.gamma, "reward_weights": sac.reward_weights, "algorithm": sac.kind}
     learner.critic.meta = {key: meta[key] for key in ("task", "gamma", "reward_weights")}
-    due = settings.checkpoint_every
-    with progress(sac.steps, f"expert {config.task.name}", done=done) as bar:
+    due = sac.checkpoint_every
+    with progress(sac.steps, f"expert {request.task.name}", done=done) as bar:
         while done < sac.steps:
             before = done
             done = min(before - before % SEGMENT + SEGMENT, sac.steps)
-            _segment(envs, teachers, learner, replay, statistics, settings, before, done)
-            told = {}
-            if done // settings.evaluate_every > before // settings.evaluate_every or done >= sac.steps:
+            _segment(envs, teachers, learner, replay, statistics, sac, before, done)
+            shown = {}
+            if done // sac.evaluate_every > before // sac.evaluate_every or done >= sac.steps:
                 temperature = float(learner.log_temperature.detach().exp())
                 point = curve.add(_export(learner, meta), done, learner.critic, temperature=temperature)
-                told = {"final": point["final"], "ret": point["return"]}
-            bar.update(done - before, **told)
+                shown = {"final": point["final"], "ret": point["return"]}
+            bar.update(done - before, **shown)
             due -= done - before
             if due <= 0 or done >= sac.steps:
-                due = settings.checkpoint_every
+                due = sac.checkpoint_every
                 metrics.flush()
                 replay.flush()
                 _save(state, learner, replay, statistics, curve, done)
-    return Expert.load(state / "best"), curve.points
+    return state / "best", curve.points
 
 
 def _segment(
@@ -82,26 +82,25 @@ def _segment(
     learner: SACUpdate,
     replay: Replay,
     statistics: "_Statistics",
-    settings: ExpertSettings,
+    sac: SACSettings,
     first: int,
     last: int,
 ) -> None:
-    """Act and learn from environment step `first` to `last`; before learning begins, act like the teachers, if any, like the expert
-    that training starts from, if any, or at random."""
-    sac, seed = settings.sac, settings.seed
-    learner.generator.manual_seed(seed * 1_000_003 + first)
-    rng = np.random.default_rng([seed, first])
+    """Act and learn from environment step `first` to `last`. Before learning begins, actions are those of the teachers, if any,
+    of the expert that training starts from, if any, or random."""
+    learner.generator.manual_seed(sac.seed * 1_000_003 + first)
+    rng = np.random.default_rng([sac.seed, first])
     for i, env in enumerate(envs):
-        env.reseed([seed, first, i])
+        env.reseed([sac.seed, first, i])
     replay.abandon()
     statistics.restart(len(envs))
     states = np.stack([env.reset()[0] for env in envs])
     noise = _HeldNoise(len(envs), envs[0].action_space.shape[0], sac.hold, rng)
     for step in range(first, last, len(envs)):
         if step < sac.random_steps and teachers:
-            wanted = np.stack([teacher.action() for teacher in teachers])
-            actions = np.clip(wanted + TEACHER_NOISE * noise.next(), -1, 1)
-        elif step < sac.random_steps and not settings.first_task:
+            actions = np.stack([teacher.action() for teacher in teachers])
+            actions = np.clip(actions + TEACHER_NOISE * noise.next(), -1, 1)
+        elif step < sac.random_steps and not sac.first_task:
             actions = np.clip(noise.next(), -1, 1)
         else:
             actions = learner.actor.act(states, noise.next())
@@ -116,7 +115,7 @@ def _segment(
         learner.normalise(*statistics.current())
         learner.learning_rate(sac.learning_rate + (sac.learning_rate_end - sac.learning_rate) * step / sac.steps)
         due = int((step + len(envs) - sac.random_steps) * sac.updates_per_step)
-        while learner.step < due:
+        while learner.step < due and replay.count:  # no row is written before the first n_step steps
             learner.update(replay.sample(sac.batch, sac.replay, rng))
 
 
@@ -202,11 +201,11 @@ def _save(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statisti
 
 
 def _load(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statistics, curve: Curve) -> int:
-    """Go to the checkpoint if there is one; returns the environment steps done."""
-    found = checkpoint.load(state)
-    if found is None:
+    """Goes to the checkpoint if there is one; returns the environment steps done."""
+    saved = checkpoint.load(state)
+    if saved is None:
         return 0
-    tensors, notes = found
+    tensors, notes = saved
     learner.load(tensors, notes["updates"])
     for name in ("mean", "square", "returns"):
         setattr(statistics, name, tensors[f"statistics.{name}"].numpy().copy())

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from acgd.experts.policy import LOG_STD, Expert
-from acgd.experts.settings import SACConfig
+from acgd.experts.sac.settings import SACSettings
 from acgd.nn.q_ensemble import Critic
 from acgd.store import checkpoint
 from acgd.store.precision import in_bfloat16
@@ -39,7 +39,7 @@ class SACUpdate:
         self,
         state_dim: int,
         action_dim: int,
-        sac: SACConfig,
+        sac: SACSettings,
         generator: torch.Generator,
         device: torch.device = torch.device("cpu"),
     ) -> None:
@@ -74,7 +74,7 @@ class SACUpdate:
         self.step = 0
 
     def normalise(self, mean: Tensor, std: Tensor, reward_scale: float) -> None:
-        """Adopt the running statistics of states (S,) and returns."""
+        """Takes over the running statistics of states (S,) and returns."""
         for network in (self.actor, self.critic, self.target):
             network.state_mean.copy_(mean)
             network.state_std.copy_(std)
@@ -82,14 +82,15 @@ class SACUpdate:
         self.target.scale.fill_(reward_scale)
 
     def start_from(self, actor: Expert, critic: Critic) -> None:
-        """Adopt the policy and the critics of another expert. Raises ValueError where their sizes differ from these."""
-        for name, found, here in (("policy", actor, self.actor), ("critics", critic, self.critic)):
+        """Takes over the policy and the critics of another expert. Raises ValueError where their sizes differ from these."""
+        for name, other, here in (("policy", actor, self.actor), ("critics", critic, self.critic)):
             theirs, ours = (
-                {key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (found, here)
+                {key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (other, here)
             )
-            if theirs != ours or (name == "critics" and found.shape != here.shape):
+            if theirs != ours or (name == "critics" and other.shape != here.shape):
                 raise ValueError(
-                    f"the {name} of expert.warm_start have other sizes: choose an expert of the same kind of task, and its expert.sac.width and action_space"
+                    f"the {name} of expert.warm_start have other sizes: choose an expert of the same kind of task, "
+                    "and its width and action_space"
                 )
         self.actor.load_state_dict(actor.state_dict())
         for network in (self.critic, self.target):
@@ -134,8 +135,8 @@ class SACUpdate:
         return torch.tanh(before).to(normal_state.dtype), -surprise.sum(-1) - mean.shape[-1] * LOG_UNIT
 
     def _descend(self, name: str, loss: Tensor) -> None:
-        found = torch.autograd.grad(loss, list(self._networks[name].parameters()))
-        for place, gradient in zip(self._gradients[name], found):
+        gradients = torch.autograd.grad(loss, list(self._networks[name].parameters()))
+        for place, gradient in zip(self._gradients[name], gradients):
             place.copy_(gradient)
         self.optimisers[name].step()
         self._copy(name)

@@ -1,0 +1,53 @@
+"""Critics that are there already: in zoo/, or beside the policy of an off-policy expert."""
+
+import json
+import shutil
+from pathlib import Path
+
+from acgd.critics import spread
+from acgd.critics.gather import rollouts
+from acgd.critics.settings import CriticRequest
+from acgd.critics.simulated import lockstep, simulated_once
+from acgd.experts import zoo
+from acgd.experts.policy import Expert
+from acgd.nn.q_ensemble import WEIGHTS, Critic
+from acgd.simulate.seeds import SEEDS
+from acgd.store.key import file_digest
+from acgd.store.stage import Context
+from acgd.tasks.spec import TASKS
+
+
+def from_zoo(request: CriticRequest, expert: Path, ctx: Context) -> None:
+    """Copies the critic in zoo/. Raises ValueError where it was fitted to another expert than the one in the folder `expert`."""
+    weights, meta = zoo.critic_files(request.task.name)
+    if json.loads(meta.read_text())["expert_sha256"] != file_digest(expert / zoo.POLICY[0]):
+        raise ValueError(
+            f"critic.kind is zoo, but the expert of {request.task.name} is not that of the zoo: set critic.kind to fqe, "
+            "or expert.kind to zoo"
+        )
+    for file in (weights, meta):
+        shutil.copyfile(file, ctx.out / file.name)
+
+
+def from_expert(request: CriticRequest, expert: Path, ctx: Context) -> None:
+    """Takes the critics of an off-policy expert, and measures their spread. Their Q holds the entropy bonus of its training.
+
+    Raises ValueError where the expert has none.
+    """
+    if not (expert / WEIGHTS).is_file():
+        raise ValueError(
+            f"critic.kind is expert, but {expert} has no {WEIGHTS}: only an off-policy expert (expert.kind sac) has critics; "
+            "set critic.kind to fqe"
+        )
+    settings, policy = request.critic, Expert.load(expert)
+
+    def gather():
+        with ctx.progress(settings.steps, "critic: rollouts, steps") as bar:
+            return rollouts(
+                lockstep(request.task, policy), policy, settings.perturbation, SEEDS.critic_fit,
+                limit=TASKS[request.task.name].horizon, steps=settings.steps, seed=settings.seed, bar=bar,
+            )[0]  # fmt: skip
+
+    data = simulated_once(ctx.state, gather)
+    meta = {"task": request.task.name, "source": settings.kind, "branched_states": 0}
+    spread.save(Critic.load(expert), expert, data, ctx.out, seed=settings.seed, **meta)

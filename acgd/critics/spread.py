@@ -1,0 +1,46 @@
+"""The unit of a critic: how far the Q of candidate actions of one state lie apart. Tasks are compared in it."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from acgd.critics.gather import candidates
+from acgd.critics.transitions import Transitions
+from acgd.experts import zoo
+from acgd.experts.policy import Expert
+from acgd.nn.q_ensemble import Critic
+from acgd.store.key import file_digest
+
+STATES, ACTIONS = 512, 16
+"""States at most that the spread is the median of, and candidate actions in each."""
+STREAM = 2
+"""Of a section's seed: chance of the spread."""
+
+
+def spread(critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator) -> float:
+    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward units."""
+    states = states[rng.choice(len(states), min(STATES, len(states)), replace=False)]
+    actions, _ = candidates(expert, states, ACTIONS, rng)
+    rows = torch.from_numpy(states).repeat_interleave(ACTIONS, 0), torch.from_numpy(actions).flatten(0, 1)
+    with torch.no_grad():
+        q = critic(*(value.to(critic.spread.device) for value in rows)).mean(0)
+    return max(float(q.view(-1, ACTIONS).std(1).median()), 1e-6)
+
+
+def save(critic: Critic, expert: Path, data: Transitions, out: Path, *, seed: int, **meta: object) -> None:
+    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into `out`.
+
+    `expert`: folder of the expert. `meta`: what critic.json says besides.
+    """
+    policy = Expert.load(expert)
+    critic.spread.copy_(spread(critic, policy, data.state, np.random.default_rng([seed, STREAM])))
+    critic.meta = {
+        "gamma": policy.meta["gamma"],
+        "reward_weights": policy.meta["reward_weights"],
+        "simulator_steps": len(data),
+        "transitions_terminated": int(data.terminated.sum()),
+        "expert_sha256": file_digest(expert / zoo.POLICY[0]),
+        **meta,
+    }
+    critic.save(out)

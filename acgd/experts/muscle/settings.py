@@ -1,0 +1,67 @@
+"""Settings of the muscle controller, and of a policy that learns to imitate it."""
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from acgd.experts.learner import LearnerSettings
+from acgd.settings import Section
+from acgd.tasks.spec import TASKS
+
+CONTROLLED_KINDS = ("pose", "reach")
+"""Kinds of tasks with a muscle controller: acgd/experts/muscle/control.py defines them, and a test compares the two."""
+
+
+class ControllerSettings(Section):
+    """The muscle controller, which acts by the equations of motion."""
+
+    rate: float = Field(default=8.0, gt=0, description="Share of the error that the controller would undo in a second.")
+    damping: float = Field(default=1.5, ge=0, description="Weight of the joints' velocity beside the error's.")
+    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
+
+
+class ImitationSettings(ControllerSettings):
+    """Imitation of the muscle controller by dataset aggregation."""
+
+    steps: int = Field(default=200_000, ge=1, description="Environment steps with the controller's action, in all.")
+    rounds: int = Field(
+        default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each."
+    )
+    epochs: int = Field(default=6, ge=1, description="Passes over all rounds so far after each round.")
+    batch: int = Field(default=256, ge=2, description="Minibatch size.")
+    learning_rate: float = Field(
+        default=1e-3, gt=0, description="Adam's step size at the start; it falls linearly over the rounds."
+    )
+    exploration: float = Field(
+        default=0.1, gt=0, description="Standard deviation of the noise on the policy's actions while it acts."
+    )
+
+
+class MuscleSettings(ImitationSettings, LearnerSettings):
+    """Imitation of the muscle controller; pose and reach tasks only."""
+
+    algorithm: ClassVar[str] = "DAgger"
+    advanced_starts: ClassVar[float] = 0.0
+    """Episodes start where those of the task start."""
+
+    kind: Literal["muscle"] = "muscle"
+
+    @model_validator(mode="after")
+    def _a_round_has_states(self) -> "MuscleSettings":
+        if self.steps // self.rounds < max(2, self.envs):
+            raise ValueError(
+                f"steps {self.steps} in {self.rounds} rounds are fewer than a step of each of {self.envs} environments, or fewer "
+                "than two. Raise steps, or lower rounds or envs."
+            )
+        return self
+
+    def faults(self, task: str) -> Iterator[str]:
+        """A task without a muscle controller."""
+        yield from without_controller(task, "expert.kind", "Choose ppo or sac")
+
+
+def without_controller(task: str, place: str, mend: str) -> Iterator[str]:
+    """The fault of a task that has no muscle controller; nothing where it has one."""
+    if TASKS[task].kind not in CONTROLLED_KINDS:
+        yield f"{place}: {task} has no muscle controller, only {' and '.join(CONTROLLED_KINDS)} tasks have. {mend}."
