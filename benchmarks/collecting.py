@@ -29,7 +29,7 @@ def run() -> list[Row]:
 def _measure(task: TaskConfig) -> Row:
     config = RolloutsConfig()
     locks = {image: Lockstep(task, EPISODES, image=image) for image in (False, True)}
-    env = registry.make(task, image=False)
+    env = registry.make(task, image_size=None)
     expert = Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0])
     seconds, steps = {False: 0.0, True: 0.0}, {False: 0, True: 0}
     for wave in range(WAVES + 1):

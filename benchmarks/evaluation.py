@@ -29,7 +29,7 @@ def run() -> list[Row]:
     torch.set_num_threads(1)
     size = EvaluationConfig().lockstep
     seeds = list(range(size))
-    blind, seeing = Lockstep(TASK, size, image=False), Lockstep(TASK, size, image=True)
+    blind, seeing = Lockstep(TASK, size, image_size=None), Lockstep(TASK, size, image_size=84)
     proprio, actions = (seeing.envs[0].observation_space["proprio"].shape[0], seeing.envs[0].action_space.shape[0])
     features = BackboneConfig().dim
     student = Student(CodebookConfig(), Sizes(features, proprio, actions, tasks=3, owns_cnn=False))

@@ -40,7 +40,7 @@ def payload(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def expert(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("expert")
-    size = registry.make(TASK, image=False).observation_space["state"].shape[0]
+    size = registry.make(TASK, image_size=None).observation_space["state"].shape[0]
     Expert.random(size, 39).save(folder)
     return folder
 
@@ -165,7 +165,7 @@ def test_an_episode_renders_again_to_the_same_frames(real):
 
 def test_recorded_actions_lead_to_the_recorded_states(real):
     demos = Demonstrations.load(real, ["action", "mean_action", "state", "final_state", "reward", "qpos"])
-    env = registry.make(TASK, image=False)
+    env = registry.make(TASK, image_size=None)
     env.reset(seed=int(demos.seeds[1]))
     for t in range(demos.episode_starts[1], demos.episode_ends[1]):
         assert np.array_equal(env.data.qpos, demos.arrays["qpos"][t])
@@ -177,7 +177,7 @@ def test_recorded_actions_lead_to_the_recorded_states(real):
 
 
 def test_a_wave_depends_on_its_seeds_alone(expert):
-    lock = Lockstep(TASK, 2, image=False)
+    lock = Lockstep(TASK, 2, image_size=None)
     config = RolloutsConfig(noise=0.1)
     seeds = SEEDS.demonstrations.take(2, offset=5)
     first = run_wave(Expert.load(expert), lock, seeds, config)

@@ -21,7 +21,7 @@ TASKS = list(registry.TASKS)
 @pytest.fixture(scope="module")
 def envs():
     """One state-only environment a task."""
-    return {name: registry.make(name, image=False) for name in TASKS}
+    return {name: registry.make(name, image_size=None) for name in TASKS}
 
 
 def actions(env, n: int, seed: int = 0) -> np.ndarray:
@@ -66,14 +66,14 @@ def test_starts_differ_by_seed_in_hand_object_and_goal(envs, name):
 
 @pytest.mark.parametrize("name", [n for n in TASKS if not n.endswith("-hard")])
 def test_nominal_start_of_fixed_tasks_is_one_state(name):
-    env = registry.make(TaskConfig(name=name, start="nominal"), image=False)
+    env = registry.make(TaskConfig(name=name, start="nominal"), image_size=None)
     assert np.array_equal(env.reset(seed=1)[0]["state"], env.reset(seed=2)[0]["state"])
 
 
 def test_perturbation_does_not_outlive_its_episode():
-    perturbed, nominal = registry.make("myo/obj-hold", image=False), TaskConfig(name="myo/obj-hold", start="nominal")
+    perturbed, nominal = registry.make("myo/obj-hold", image_size=None), TaskConfig(name="myo/obj-hold", start="nominal")
     goals = {s: perturbed.reset(seed=s)[0]["state"][perturbed.state_layout["goal_pos"]] for s in (1, 2, 3)}
-    centre = registry.make(nominal, image=False)
+    centre = registry.make(nominal, image_size=None)
     middle = centre.reset(seed=0)[0]["state"][centre.state_layout["goal_pos"]]
     for _ in range(50):
         perturbed.reset(seed=9)
@@ -83,7 +83,7 @@ def test_perturbation_does_not_outlive_its_episode():
 
 @pytest.mark.parametrize("name", TASKS)
 def test_snapshot_continues_bit_for_bit_in_another_environment(envs, name):
-    env, other = envs[name], registry.make(name, image=False)
+    env, other = envs[name], registry.make(name, image_size=None)
     env.reset(seed=7)
     run(env, actions(env, 5))
     snapshot = env.snapshot()
@@ -136,14 +136,14 @@ def test_reward_is_the_weighted_sum_of_its_terms(envs, name):
 
 def test_reward_weights_change_the_reward_and_unknown_terms_are_named():
     plain, heavy = (
-        registry.make("myo/reach", image=False),
-        registry.make("myo/reach", image=False, reward_weights={"reach": 20}),
+        registry.make("myo/reach", image_size=None),
+        registry.make("myo/reach", image_size=None, reward_weights={"reach": 20}),
     )
     plain.reset(seed=0), heavy.reset(seed=0)
     a, b = plain.step(idle(plain)), heavy.step(idle(heavy))
     assert b[1] - a[1] == pytest.approx(19 * a[4]["reward_terms"]["reach"], rel=1e-6)
     with pytest.raises(ValueError, match="raech.*bonus.*penalty.*reach"):
-        registry.make("myo/reach", image=False, reward_weights={"raech": 1})
+        registry.make("myo/reach", image_size=None, reward_weights={"raech": 1})
 
 
 def test_success_is_counted_three_ways():
@@ -158,7 +158,7 @@ def test_success_is_counted_three_ways():
 
 
 def test_lockstep_equals_one_after_the_other(envs):
-    lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image=False)
+    lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image_size=None)
     moves = actions(lock.envs[0], 60)
     lock.reset([1, 2, 3])
     for move in moves:
@@ -193,7 +193,7 @@ def test_the_fixed_pose_can_be_held():
     constant `action` stays within the threshold of 0.7 rad to the time limit. Its muscle forces balance gravity and
     passive joints there, found by bounded least squares."""
     held = json.loads((Path(__file__).parent / "pose_held.json").read_text())
-    env = registry.make(TaskConfig(name="myo/pose", start="nominal"), image=False)
+    env = registry.make(TaskConfig(name="myo/pose", start="nominal"), image_size=None)
     env.reset(seed=0)
     action = np.array(held["action"], np.float32)
     env.data.qpos[:], env.data.act[:] = held["qpos"], 1 / (1 + np.exp(-5 * (action - 0.5)))

@@ -37,7 +37,7 @@ def fit(config: CriticRequest, inputs: Inputs, ctx: Context) -> None:
         return
     expert = Expert.load(inputs["expert"])
     limit = TASKS[config.task.name].horizon
-    lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
+    lock = Lockstep(config.task, ENVIRONMENTS, image_size=None, reward_weights=expert.meta["reward_weights"])
     data = _gathered(lock, expert, limit, config.critic, ctx.state / "transitions.safetensors", ctx.progress)
     if config.critic.source == "expert":
         critic, branched = own(inputs["expert"]), 0
@@ -125,7 +125,7 @@ def gather(lock: Lockstep, expert: Expert, limit: int, config: CriticConfig, pro
         rng,
     )
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
-        tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
+        tried = branches(lock, expert, chosen, actions, branch.steps, bar)
     return concatenate([data, tried])
 
 
