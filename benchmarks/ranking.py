@@ -58,9 +58,7 @@ def _measure(task: str) -> list[Row]:
         actions = candidates(expert, np.stack([visit.state for visit in here]), config.quality.candidates, rng)[0]
 
         tried = branches(lock, expert, here, actions, tail, bar)
-        tried_beside = branches(
-            lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar
-        )
+        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
     whole, beside, early = (
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
         for data, steps in ((tried, tail), (tried_beside, tail), (tried, config.branches.steps))

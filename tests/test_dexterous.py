@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.collection.episode import run_wave
+from acgd.collection.demonstrations import run_wave
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
@@ -147,7 +147,7 @@ def test_actions_move_smoothed_targets(env):
 
 def test_a_recorded_step_holds_all_that_was_observed():
     """The simulator's state alone: targets, smoothed action and pictures come back with it."""
-    lock = Lockstep(TaskConfig(name="opdex/spray-2", image_size=32), 1, image_size=84)
+    lock = Lockstep(TaskConfig(name="opdex/spray-2"), 1, image_size=32)
     size = lock.envs[0].observation_space["state"].shape[0]
     episode = run_wave(Expert.random(size, 22), lock, [5], RolloutsConfig())[0]
     for t in (0, 20, 60):

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from pydantic import ValidationError
 
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.seeds import SEEDS
+from acgd.simulate.seeds import ROUND_EPISODES, SEEDS, round_seeds
 from acgd.tasks import registry, starts
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.success import SuccessCounter
@@ -175,12 +175,50 @@ def test_lockstep_equals_one_after_the_other(envs):
         assert np.array_equal(last["state"], obs["state"][i])
 
 
+def test_lockstep_goes_on_from_snapshots(envs):
+    env, lock = envs["myo/pen-twirl"], Lockstep(TaskConfig(name="myo/pen-twirl"), 2, image_size=None)
+    env.reset(seed=4)
+    moves = actions(env, 6)
+    run(env, moves[:3])
+    snapshot = env.snapshot()
+    states = run(env, moves[3:])
+    lock.restore([snapshot, snapshot])
+    assert lock.active.all()
+    for move, state in zip(moves[3:], states):
+        obs, *_ = lock.step(np.tile(move, (2, 1)))
+        assert np.array_equal(obs["state"], np.tile(state, (2, 1)))
+    with pytest.raises(ValueError, match="3 episodes for 2"):
+        lock.reset([1, 2, 3])
+
+
 def test_seed_ranges_are_disjoint_and_say_when_they_end():
     ranges = sorted(vars(SEEDS).values(), key=lambda r: r.start)
-    assert len(ranges) == 7
+    assert len(ranges) == 8
     assert all(a.stop <= b.start for a, b in zip(ranges, ranges[1:]))
     with pytest.raises(ValueError, match="validation"):
         SEEDS.validation.take(10**9)
+
+
+def test_on_policy_rounds_of_one_student_share_no_seed():
+    for student in (0, 1, 89, 90, 10**6):
+        seeds = [seed for number in (1, 2, 3, 100) for seed in round_seeds(student, number, ROUND_EPISODES)]
+        assert len(set(seeds)) == len(seeds)
+        assert SEEDS.on_policy.start <= min(seeds) and max(seeds) < SEEDS.on_policy.stop
+    assert not set(round_seeds(0, 1, 1000)) & set(round_seeds(1, 1, 1000))
+    assert round_seeds(3, 2, 5) == round_seeds(3, 2, 9)[:5]
+    with pytest.raises(ValueError, match="round 101"):
+        round_seeds(0, 101, 1)
+
+
+@pytest.mark.parametrize("name", ["myo/pen-twirl", "opdex/spray-1"])
+def test_images_have_the_size_that_was_given_and_render_draws_without_them(name):
+    env = registry.make(name, image_size=32)
+    seen = env.reset(seed=1)[0]
+    assert seen["image"].shape == env.observation_space["image"].shape == env.render().shape == (32, 32, 3)
+    blind = registry.make(name, image_size=None)
+    assert set(blind.reset(seed=1)[0]) == set(blind.observation_space) == {"proprio", "state"}
+    assert blind.render().shape == (84, 84, 3)
+    assert np.array_equal(blind.render(32), seen["image"])
 
 
 def test_unknown_task_names_the_nearest():

@@ -39,9 +39,7 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
         """Made where a wave is missing: loading the student and making environments takes seconds."""
         student = load_policy(inputs["student"], inputs["backbone"], request.acting, ctx.device, LOCKSTEP)
         weights = expert.meta["reward_weights"]
-        lock = Lockstep(
-            request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights
-        )
+        lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)
         restricted = Restricted(student, STUDENT_ENTRIES)
         chance = rounds.beta**request.round

@@ -24,9 +24,7 @@ def training_goals(rollouts: Path, seeds: Sequence[int]) -> np.ndarray:
     return images[[demonstration_for(seed, len(images)) for seed in seeds]]
 
 
-def oracle_goals(
-    task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int, image_size: int
-) -> np.ndarray:
+def oracle_goals(task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int, image_size: int) -> np.ndarray:
     """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
     lock = Lockstep(task, size, image_size=None)
     images = []

@@ -51,6 +51,8 @@ def round_seeds(student: int, round: int, episodes: int) -> list[int]:
     Two rounds of one student share no seed. Two students may.
     """
     if not (1 <= round <= ROUNDS and episodes <= ROUND_EPISODES):
-        raise ValueError(f"round {round} of {episodes} episodes: there are {ROUNDS} rounds of {ROUND_EPISODES} episodes")
+        raise ValueError(
+            f"round {round} of {episodes} episodes: there are {ROUNDS} rounds of {ROUND_EPISODES} episodes"
+        )
     first = (round - 1) * _BLOCK + (student % _STUDENTS) * ((_BLOCK - ROUND_EPISODES) // _STUDENTS)
     return SEEDS.on_policy.take(episodes, offset=first)

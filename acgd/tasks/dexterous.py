@@ -86,9 +86,7 @@ class DexterousTask(gymnasium.Env):
         self._start(None)
         observed = self._observe_state()
         self.state_layout = layout(self._proprio_entries() | self._scene_entries())
-        self.observation_space = space(
-            observed["proprio"].size, observed["state"].size, image_size
-        )
+        self.observation_space = space(observed["proprio"].size, observed["state"].size, image_size)
 
     # -- episode ---------------------------------------------------------------------------------
 

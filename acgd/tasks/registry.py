@@ -4,9 +4,7 @@ from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
 
-def make(
-    task: TaskConfig | str, *, image_size: int | None = 84, reward_weights: dict[str, float] | None = None
-):
+def make(task: TaskConfig | str, *, image_size: int | None = 84, reward_weights: dict[str, float] | None = None):
     """The Gymnasium environment of a task.
 
     `image_size` is the height and width of the observation's image in pixels. With None nothing is drawn and the
