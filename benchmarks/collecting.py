@@ -4,7 +4,7 @@ import time
 
 import torch
 
-from acgd.collection.episode import run_wave
+from acgd.collection.demonstrations import run_wave
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
@@ -28,8 +28,8 @@ def run() -> list[Row]:
 
 def _measure(task: TaskConfig) -> Row:
     config = RolloutsConfig()
-    locks = {image: Lockstep(task, EPISODES, image=image) for image in (False, True)}
-    env = registry.make(task, image=False)
+    locks = {image: Lockstep(task, EPISODES, image_size=84 if image else None) for image in (False, True)}
+    env = registry.make(task, image_size=None)
     expert = Expert.random(env.observation_space["state"].shape[0], env.action_space.shape[0])
     seconds, steps = {False: 0.0, True: 0.0}, {False: 0, True: 0}
     for wave in range(WAVES + 1):

@@ -37,7 +37,7 @@ def run(tasks: Sequence[str] = TASKS) -> list[Row]:
 
 
 def _measure(task: str) -> list[Row]:
-    env = registry.make(task, image=False)
+    env = registry.make(task, image_size=None)
     least = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
     renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)

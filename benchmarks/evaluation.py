@@ -2,19 +2,20 @@
 
 import statistics
 import time
-from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from acgd.evaluation.evaluate import StudentPolicy
 from acgd.evaluation.settings import EvaluationConfig
 from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.policy import Padded, Policy
+from acgd.simulate.roll import Recorder, Step, roll
 from acgd.students.acting import Actor
 from acgd.students.codebook import Sizes
+from acgd.students.load import ActorPolicy
 from acgd.students.settings import ActingConfig, CodebookConfig
 from acgd.students.student import Student
-from acgd.tasks.settings import TaskConfig
+from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.settings import BackboneConfig
 from benchmarks.row import Row
@@ -27,43 +28,60 @@ STEPS = 60
 def run() -> list[Row]:
     """Environment steps per second: physics alone, with images, and with an untrained student of the default size acting on them."""
     torch.set_num_threads(1)
-    size = EvaluationConfig().lockstep
-    seeds = list(range(size))
-    blind, seeing = Lockstep(TASK, size, image=False), Lockstep(TASK, size, image=True)
+    size, pixels = EvaluationConfig().lockstep, ImageConfig().size
+    blind, seeing = Lockstep(TASK, size, image_size=None), Lockstep(TASK, size, image_size=pixels)
     proprio, actions = (seeing.envs[0].observation_space["proprio"].shape[0], seeing.envs[0].action_space.shape[0])
     features = BackboneConfig().dim
     student = Student(CodebookConfig(), Sizes(features, proprio, actions, tasks=3, owns_cnn=False))
     actor = Actor(student, SmallCNN(features).eval(), ActingConfig())
-    goals = np.zeros((size, TASK.image_size, TASK.image_size, 3), np.uint8)
-    policy = StudentPolicy(actor, 0, seeds, goals, size, shuffled=False)
-    still = np.full((size, actions), -0.9, np.float32)
-    physics = _steps_per_s(blind, seeds, lambda obs, step: still)
-    images = _steps_per_s(seeing, seeds, lambda obs, step: still)
-
-    def student_and_still(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
-        policy(
-            obs, step
-        )  # an untrained student would drop the object: it costs what a trained one does, and has no say
-        return still
-
-    acting = _steps_per_s(seeing, seeds, student_and_still)
-    rates = {"physics alone": physics, "with images": images, f"with images and a student, {size} in lockstep": acting}
+    still, goals = Still(actions), np.zeros((size, pixels, pixels, 3), np.uint8)
+    rates = {
+        "physics alone": _steps_per_s(blind, size, still),
+        "with images": _steps_per_s(seeing, size, still),
+        f"with images and a student, {size} in lockstep": _steps_per_s(
+            seeing, size, Still(actions, Padded(ActorPolicy(actor), size)), goals
+        ),
+    }
+    physics = rates["physics alone"]
     return [
         Row(name=f"evaluation/{name}", value=rate, unit="steps/s", ratio=rate / physics, target="", met=None)
         for name, rate in rates.items()
     ]
 
 
-def _steps_per_s(lock: Lockstep, seeds: list[int], policy: Callable[[dict[str, np.ndarray], int], np.ndarray]) -> float:
+class Still:
+    """Holds still, and computes what `policy` would do. An untrained student would drop the object, and episodes would end."""
+
+    def __init__(self, actions: int, policy: Policy | None = None) -> None:
+        self.actions, self.policy = actions, policy
+
+    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]):
+        return self.policy.start(tasks, goals, seeds) if self.policy else None
+
+    def act(self, observations: dict[str, np.ndarray], memory):
+        if self.policy:
+            _, memory = self.policy.act(observations, memory)
+        return np.full((len(observations["state"]), self.actions), -0.9, np.float32), memory
+
+
+class Clock(Recorder):
+    """Seconds per environment step: from one step's end to the next one's."""
+
+    def start(self, lock: Lockstep, seeds: list[int]) -> None:
+        self.times: list[float] = []
+        self.last = time.perf_counter()
+
+    def after(self, lock: Lockstep, step: Step) -> None:
+        now = time.perf_counter()
+        self.times.append((now - self.last) / len(step.running))
+        self.last = now
+
+
+def _steps_per_s(lock: Lockstep, size: int, policy: Policy, goals: np.ndarray | None = None) -> float:
     """Rate of the median step of all environments."""
-    obs, times = lock.reset(seeds), []
-    for step in range(STEPS):
-        active, start = int(lock.active.sum()), time.perf_counter()
-        obs, *_ = lock.step(policy(obs, step))
-        times.append((time.perf_counter() - start) / active)
-        if not lock.active.any():
-            break
-    return 1 / statistics.median(times)
+    clock = Clock()
+    roll(lock, policy, range(size), goals=goals, limits=np.full(size, STEPS), recorders=[clock])
+    return 1 / statistics.median(clock.times)
 
 
 def main() -> None:

@@ -42,7 +42,7 @@ def _measure(task: str) -> list[Row]:
     config, rng = CriticConfig(), np.random.default_rng(0)
     expert, tail = Expert.load(zoo.folder(task)), config.quality.tail
     gamma = expert.meta["gamma"]
-    lock = Lockstep(TaskConfig(name=task), ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
+    lock = Lockstep(TaskConfig(name=task), ENVIRONMENTS, image_size=None, reward_weights=expert.meta["reward_weights"])
     with Progress(open("/dev/null", "w"))(1, task) as bar:
         _, visits, _ = rollouts(
             lock,
@@ -57,10 +57,8 @@ def _measure(task: str) -> list[Row]:
         here = one_per_episode(visits, rng)
         actions = candidates(expert, np.stack([visit.state for visit in here]), config.quality.candidates, rng)[0]
 
-        tried = branches(lock.envs, expert, here, actions, tail, bar)
-        tried_beside = branches(
-            lock.envs, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar
-        )
+        tried = branches(lock, expert, here, actions, tail, bar)
+        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
     whole, beside, early = (
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
         for data, steps in ((tried, tail), (tried_beside, tail), (tried, config.branches.steps))

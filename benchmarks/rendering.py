@@ -26,7 +26,7 @@ def run() -> list[Row]:
 
 
 def _measure(task: str) -> Row:
-    env = registry.make(task, image=False)
+    env = registry.make(task, image_size=None)
     env.reset(seed=0)
     camera = CAMERAS[env.task.kind]
     ours = Renderer(env.model, camera=camera, size=SIZE)

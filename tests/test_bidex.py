@@ -20,7 +20,7 @@ ACTIONS = 2 * len(shadow.MOTORS)
 @pytest.fixture(scope="module")
 def envs() -> dict[str, DexterousTask]:
     """From the nominal start."""
-    return {name: registry.make(TaskConfig(name=name, start="nominal"), image=False) for name in TASKS}
+    return {name: registry.make(TaskConfig(name=name, start="nominal"), image_size=None) for name in TASKS}
 
 
 def _tell(env: DexterousTask, joint: str, value: float) -> None:
@@ -78,7 +78,7 @@ def test_building_prints_nothing_and_leaves_no_file(tmp_path, monkeypatch, capfd
 
 @pytest.mark.parametrize("name", TASKS)
 def test_nothing_starts_inside_of_anything_and_starts_are_near_or_far(name):
-    env, heights = registry.make(name, image=False), []
+    env, heights = registry.make(name, image_size=None), []
     for seed in range(60):
         env.reset(seed=seed)
         assert not env.scene.failed(env.data) and not env.scene.met(env.data)
@@ -155,7 +155,7 @@ def test_a_bottle_out_of_the_hand_ends_the_episode(envs, drop):
 def test_the_original_rewards(envs):
     """Bi-DexHands': 2 - D - D, and progress times 50, 5 where both hands are near, or 30 where the right one is."""
     for name, progress in {"bidex/switch": -0.04, "bidex/scissors": 0.5, "bidex/bottle": 0.0}.items():
-        env = registry.make(TaskConfig(name=name, start="nominal"), image=False, reward_weights={"original": 1.0})
+        env = registry.make(TaskConfig(name=name, start="nominal"), image_size=None, reward_weights={"original": 1.0})
         assert sum(weight != 0 for weight in env.reward_weights.values()) > 1  # the others are still there
         env.reset(seed=0)
         if name == "bidex/scissors":
@@ -181,7 +181,7 @@ def test_a_missing_hand_names_the_mend(monkeypatch, found):
 
 def test_gymnasium_robotics_is_never_imported():
     """It would register environments of its own."""
-    script = "import sys; from acgd.tasks import registry; registry.make('bidex/switch', image=False); print('gymnasium_robotics' in sys.modules)"
+    script = "import sys; from acgd.tasks import registry; registry.make('bidex/switch', image_size=None); print('gymnasium_robotics' in sys.modules)"
     assert (
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
         == "False"

@@ -372,7 +372,7 @@ def test_discounted_returns():
 
 @pytest.fixture(scope="module")
 def lock() -> Lockstep:
-    return Lockstep(TASK, 4, image=False)
+    return Lockstep(TASK, 4, image_size=None)
 
 
 @pytest.fixture(scope="module")
@@ -402,7 +402,7 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
         visit = next(v for v in visits if v.episode == 1)
         step = data.starts[1] + [v for v in visits if v.episode == 1].index(visit)
         actions, sources = candidates(expert, visit.state[None], 6, np.random.default_rng(0))
-        tried = branches(lock.envs, expert, [visit], actions, 5, bar)
+        tried = branches(lock, expert, [visit], actions, 5, bar)
     assert sources == ["mean", "sample", "gaussian 0.1", "gaussian 0.2", "gaussian 0.4", "uniform"]
     assert tried.branch[tried.starts].tolist() == [0] * 6 and (tried.branch == ROLLOUT).sum() == len(tried) - 6
     own = slice(0, tried.ends[0])

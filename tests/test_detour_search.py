@@ -15,7 +15,7 @@ TEACHER = DaggerConfig(rate=2.5, damping=0.3)
 
 def test_the_shipped_detour_scores_better_than_the_straight_way():
     """Which ends beyond the threshold: its score counts the miss."""
-    env = registry.make(TaskConfig(name="myo/pose"), image=False)
+    env = registry.make(TaskConfig(name="myo/pose"), image_size=None)
     seeds, known = SEEDS.expert_training.take(3), DETOURS["myo/pose"]
     straight = Detour(steps=0, gain=1.0, posture=np.zeros(len(CLENCHED)), share=np.ones(len(CLENCHED)))
     assert (

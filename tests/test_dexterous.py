@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.collection.episode import run_wave
+from acgd.collection.demonstrations import run_wave
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
@@ -23,7 +23,7 @@ SPRAYS = [name for name in TASKS if registry.TASKS[name].suite == "opdex"]
 
 @pytest.fixture(scope="module")
 def envs() -> dict[str, DexterousTask]:
-    return {name: registry.make(TaskConfig(name=name, start="nominal"), image=False) for name in TASKS}
+    return {name: registry.make(TaskConfig(name=name, start="nominal"), image_size=None) for name in TASKS}
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_an_open_loop_solution_succeeds_and_its_actions_repeat_it(envs, name):
 @pytest.mark.parametrize("name", TASKS)
 def test_a_random_policy_never_succeeds_and_the_simulation_stays_sound(name):
     """2000 steps of random actions, then as many from one end of the box to the other."""
-    env, rng = registry.make(name, image=False), np.random.default_rng(0)
+    env, rng = registry.make(name, image_size=None), np.random.default_rng(0)
     for extreme in (False, True):
         env.reset(seed=0)
         for t in range(2000):
@@ -147,7 +147,7 @@ def test_actions_move_smoothed_targets(env):
 
 def test_a_recorded_step_holds_all_that_was_observed():
     """The simulator's state alone: targets, smoothed action and pictures come back with it."""
-    lock = Lockstep(TaskConfig(name="opdex/spray-2", image_size=32), 1, image=True)
+    lock = Lockstep(TaskConfig(name="opdex/spray-2"), 1, image_size=32)
     size = lock.envs[0].observation_space["state"].shape[0]
     episode = run_wave(Expert.random(size, 22), lock, [5], RolloutsConfig())[0]
     for t in (0, 20, 60):
@@ -157,7 +157,7 @@ def test_a_recorded_step_holds_all_that_was_observed():
 
 
 def test_starts_are_near_or_far_within_their_ranges():
-    env = registry.make("opdex/spray-1", image=False)
+    env = registry.make("opdex/spray-1", image_size=None)
     wrists, places = [], []
     for seed in range(60):
         env.reset(seed=seed)

@@ -46,7 +46,7 @@ def context(folder: Path) -> Context:
 
 
 def random_expert(task: TaskConfig) -> Expert:
-    env = registry.make(task, image=False)
+    env = registry.make(task, image_size=None)
     return Expert.random(
         env.observation_space["state"].shape[0], env.action_space.shape[0], seed=1, meta={"task": task.name}
     )
@@ -59,7 +59,7 @@ def expert() -> Expert:
 
 @pytest.fixture(scope="module")
 def pen_lock() -> Lockstep:
-    return Lockstep(PEN, 2, image=False)
+    return Lockstep(PEN, 2, image_size=None)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def artifacts(tmp_path_factory) -> dict[str, list[Path]]:
     found = {"rollouts": [], "experts": []}
     for task in (PEN, HOLD):
         acts = random_expert(task)
-        lock = Lockstep(task, 3, image=True)
+        lock = Lockstep(task, 3, image_size=84)
         states: list[np.ndarray] = []
 
         def policy(obs, step, acts=acts, states=states):
@@ -175,8 +175,8 @@ def test_lockstep_equals_one_after_the_other(expert):
     seeds = SEEDS.evaluation.take(3)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 0, (50, 3, 39)).astype(np.float32)
-    together, _ = roll(Lockstep(PEN, 3, image=False), seeds, lambda obs, t: actions[t], LABEL)
-    lock = Lockstep(PEN, 1, image=False)
+    together, _ = roll(Lockstep(PEN, 3, image_size=None), seeds, lambda obs, t: actions[t], LABEL)
+    lock = Lockstep(PEN, 1, image_size=None)
     alone = [
         roll(lock, [seed], lambda obs, t, i=i: actions[t, i : i + 1], LABEL)[0][0]
         for i, seed in reversed(list(enumerate(seeds)))
@@ -187,7 +187,7 @@ def test_lockstep_equals_one_after_the_other(expert):
 
 def test_an_episode_does_not_depend_on_how_many_there_are(expert, tmp_path):
     """Fixed batches: the first three of five are the three of three, though their last batch is only half full."""
-    seeds, lock = SEEDS.evaluation.take(5), Lockstep(PEN, 2, image=False)
+    seeds, lock = SEEDS.evaluation.take(5), Lockstep(PEN, 2, image_size=None)
     with Progress(io.StringIO())(8, "") as bar:
         five, _ = run(lock, seeds, lambda batch: expert_policy(expert, 2), LABEL, tmp_path / "five", bar)
         three, _ = run(lock, seeds[:3], lambda batch: expert_policy(expert, 2), LABEL, tmp_path / "three", bar)
@@ -241,7 +241,7 @@ def test_success_rows_hold_every_rule_with_its_interval():
 
 
 def test_oracle_goals_keep_the_seeds_that_the_expert_fails(expert):
-    seeds, lock = SEEDS.evaluation.take(3), Lockstep(PEN, 1, image=False)
+    seeds, lock = SEEDS.evaluation.take(3), Lockstep(PEN, 1, image_size=None)
     ends = [roll(lock, [seed], expert_policy(expert, 2), LABEL) for seed in seeds]
     assert not any(episodes[0].final for episodes, _ in ends)
     goals = oracle_goals(PEN, expert, seeds, 2)
@@ -281,7 +281,7 @@ class SpyActor:
 
 @pytest.mark.parametrize("shuffled", [False, True])
 def test_the_student_sees_image_and_proprio_in_full_batches_and_nothing_else(shuffled):
-    lock, spy, given = Lockstep(PEN, 3, image=True), SpyActor(), []
+    lock, spy, given = Lockstep(PEN, 3, image_size=84), SpyActor(), []
     seeds, goals = SEEDS.evaluation.take(2), np.arange(2, dtype=np.uint8)[:, None, None, None]
     policy = StudentPolicy(spy, 1, seeds, goals, 3, shuffled=shuffled)
 

@@ -23,7 +23,7 @@ GREY = {"myo": 120, "bidex": 50, "opdex": 50}
 
 @pytest.fixture(scope="module")
 def envs():
-    made = {kind: registry.make(name, image=False) for kind, name in TASKS.items()}
+    made = {kind: registry.make(name, image_size=None) for kind, name in TASKS.items()}
     yield made
     for env in made.values():
         env.close()
@@ -101,7 +101,7 @@ def test_another_process_draws_the_same_bytes(envs):
     script = (
         "import hashlib\nfrom acgd.tasks import registry\nfrom acgd.tasks.cameras import CAMERAS\n"
         "from acgd.tasks.rendering import Renderer\n"
-        "env = registry.make('myo/obj-hold', image=False); env.reset(seed=2)\n"
+        "env = registry.make('myo/obj-hold', image_size=None); env.reset(seed=2)\n"
         f"image = Renderer(env.model, camera=CAMERAS['obj-hold'], size={SIZE}).render(env.data)\n"
         "print(hashlib.sha256(image).hexdigest())\n"
     )

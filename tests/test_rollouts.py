@@ -7,19 +7,22 @@ import numpy as np
 import pytest
 import torch
 
-from acgd.collection import collect as collecting
-from acgd.collection.episode import run_wave
-from acgd.collection.settings import RolloutsConfig, RolloutsRequest
+from acgd.collection import demonstrations as collecting
+from acgd.collection import onpolicy
+from acgd.collection.demonstrations import run_wave
+from acgd.collection.settings import OnPolicyRequest, RolloutsConfig, RolloutsRequest
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.rerender import rerender
-from acgd.rollouts.store import DamagedStoreError, read_group, write_group
+from acgd.rollouts.settings import RoundsConfig
+from acgd.rollouts.store import DamagedStoreError, read_attributes, read_group, write_group
 from acgd.rollouts.windows import Windows
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS, round_seeds
 from acgd.store.stage import Context
+from acgd.students.settings import ActingConfig
 from acgd.tasks import registry
-from acgd.tasks.settings import TaskConfig
+from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.tracking.metrics import Metrics
 from acgd.tracking.progress import Progress
 
@@ -40,7 +43,7 @@ def payload(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def expert(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("expert")
-    size = registry.make(TASK, image=False).observation_space["state"].shape[0]
+    size = registry.make(TASK, image_size=None).observation_space["state"].shape[0]
     Expert.random(size, 39).save(folder)
     return folder
 
@@ -79,12 +82,12 @@ def simulated(monkeypatch) -> list[list[int]]:
         return invented(expert, lock, seeds, config)
 
     monkeypatch.setattr(collecting, "run_wave", run)
-    monkeypatch.setattr(collecting, "_environments", lambda config, expert: object())
+    monkeypatch.setattr(collecting, "_environments", lambda request, expert: object())
     return waves
 
 
 def collect(folder: Path, expert: Path, **settings) -> Path:
-    request = RolloutsRequest(task=TASK, rollouts=RolloutsConfig(**settings))
+    request = RolloutsRequest(task=TASK, image=ImageConfig(size=32), rollouts=RolloutsConfig(**settings))
     collecting.collect(request, {"expert": expert}, context(folder))
     return folder / "out"
 
@@ -137,7 +140,7 @@ def test_an_expert_that_never_succeeds_is_refused_with_the_mend(tmp_path, expert
         return [{**episode, "success_final": np.bool_(False)} for episode in invented(*arguments)]
 
     monkeypatch.setattr(collecting, "run_wave", failing)
-    with pytest.raises(collecting.ExpertTooWeakError, match="solved 0 of 6 episodes.*expert.source"):
+    with pytest.raises(collecting.ExpertTooWeakError, match="solved 0 of 6 episodes.*expert.kind"):
         collect(tmp_path, expert, demonstrations=3, lockstep=2, attempts=2)
 
 
@@ -165,7 +168,7 @@ def test_an_episode_renders_again_to_the_same_frames(real):
 
 def test_recorded_actions_lead_to_the_recorded_states(real):
     demos = Demonstrations.load(real, ["action", "mean_action", "state", "final_state", "reward", "qpos"])
-    env = registry.make(TASK, image=False)
+    env = registry.make(TASK, image_size=None)
     env.reset(seed=int(demos.seeds[1]))
     for t in range(demos.episode_starts[1], demos.episode_ends[1]):
         assert np.array_equal(env.data.qpos, demos.arrays["qpos"][t])
@@ -177,13 +180,128 @@ def test_recorded_actions_lead_to_the_recorded_states(real):
 
 
 def test_a_wave_depends_on_its_seeds_alone(expert):
-    lock = Lockstep(TASK, 2, image=False)
+    lock = Lockstep(TASK, 2, image_size=None)
     config = RolloutsConfig(noise=0.1)
     seeds = SEEDS.demonstrations.take(2, offset=5)
     first = run_wave(Expert.load(expert), lock, seeds, config)
     again = run_wave(Expert.load(expert), lock, seeds, config)
     for one, other in zip(first, again):
         assert one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_other_sizes_can_be_drawn_later(real):
+    assert rerender(real, TASK, [0])[0].shape[1:] == (32, 32, 3)
+    assert rerender(real, TASK, [0], image_size=48)[0].shape[1:] == (48, 48, 3)
+
+
+# -- on-policy rounds ----------------------------------------------------------------------------
+
+
+class Still:
+    """A student that holds still, and remembers what it has been given."""
+
+    tasks = ("myo/pose", TASK.name)
+
+    def __init__(self) -> None:
+        self.started, self.entries = [], set()
+
+    def start(self, tasks, goals, seeds):
+        self.started.append((tasks.tolist(), goals, seeds))
+        return 0
+
+    def act(self, observations, memory):
+        self.entries |= set(observations)
+        return np.full((len(observations["proprio"]), 39), -0.5, np.float32), memory + 1
+
+
+def on_policy(folder: Path, expert: Path, demos: Path, episodes: int = 3, **rounds) -> tuple[Path, Still]:
+    """One round of a student that holds still."""
+    student = Still()
+    request = OnPolicyRequest(
+        task=TASK,
+        image=ImageConfig(size=32),
+        acting=ActingConfig(),
+        rounds=RoundsConfig(episodes=episodes, **rounds),
+        round=2,
+        seed=4,
+    )
+    inputs = {"expert": expert, "student": Path("none"), "backbone": Path("none"), "rollouts": demos}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(onpolicy, "LOCKSTEP", 2)
+        patch.setattr(onpolicy, "load_policy", lambda *arguments: student)
+        onpolicy.collect(request, inputs, context(folder))
+    return folder / "out", student
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory, expert, real) -> tuple[Path, Still]:
+    return on_policy(tmp_path_factory.mktemp("mixed"), expert, real, beta=0.7)
+
+
+def test_an_on_policy_round_mixes_student_and_expert_by_chance(mixed, expert):
+    out, _ = mixed
+    demos = Demonstrations.load(out, ["action", "mean_action", "by_expert", "state"])
+    by_expert, action = demos.arrays["by_expert"], demos.arrays["action"]
+    assert demos.seeds.tolist() == round_seeds(4, 2, 3)
+    assert np.array_equal(action[by_expert], demos.arrays["mean_action"][by_expert])
+    assert (action[~by_expert] == -0.5).all()
+    assert np.allclose(demos.arrays["mean_action"], Expert.load(expert).mean(demos.arrays["state"]), atol=1e-5)
+    for start, end, seed in zip(demos.episode_starts, demos.episode_ends, demos.seeds):
+        draws = np.random.default_rng([seed, 3]).random(end - start)
+        assert np.array_equal(by_expert[start:end], draws < 0.7**2)
+
+
+def test_an_on_policy_round_keeps_failures_and_counts(mixed):
+    out, _ = mixed
+    success = Demonstrations.load(out, ["success_final"]).arrays["success_final"]
+    demos = Demonstrations.load(out, ["by_expert"])
+    summary = json.loads((out / "summary.json").read_text())
+    assert len(success) == summary["episodes"] == 3 and not success.any() and summary["failures"] == 3
+    assert summary["environment_steps"] == summary["expert_queries"] == demos.episode_ends[-1]
+    assert summary["steps_by_expert"] == demos.arrays["by_expert"].sum()
+
+
+def test_the_student_of_a_round_is_given_its_task_goals_and_no_state(mixed, real):
+    from acgd.evaluation.goals import training_goals
+
+    _, student = mixed
+    assert student.entries == {"image", "proprio"}
+    (tasks, goals, seeds), _ = student.started
+    assert tasks == [1, 1] and seeds == round_seeds(4, 2, 2)
+    assert np.array_equal(goals, training_goals(real, seeds))
+
+
+def test_without_labels_no_mean_is_stored_and_only_actions_of_the_expert_count(tmp_path, expert, real):
+    out, _ = on_policy(tmp_path / "half", expert, real, episodes=2, labels="none", beta=0.7)
+    summary = json.loads((out / "summary.json").read_text())
+    assert "mean_action" not in read_attributes(out / "rollouts.zarr")["chunks"]
+    assert 0 < summary["expert_queries"] == summary["steps_by_expert"] < summary["environment_steps"]
+    alone, _ = on_policy(tmp_path / "alone", expert, real, episodes=2, labels="none", beta=0.0)
+    assert json.loads((alone / "summary.json").read_text())["expert_queries"] == 0
+    assert (Demonstrations.load(alone, ["action"]).arrays["action"] == -0.5).all()
+
+
+def test_an_interrupted_round_gives_the_same_bytes(tmp_path, mixed, expert, real, monkeypatch):
+    run, ran = onpolicy.run_wave, []
+
+    def killed_in_the_second_wave(*arguments, **options):
+        if ran:
+            raise KeyboardInterrupt
+        ran.append(arguments)
+        return run(*arguments, **options)
+
+    monkeypatch.setattr(onpolicy, "run_wave", killed_in_the_second_wave)
+    with pytest.raises(KeyboardInterrupt):
+        on_policy(tmp_path, expert, real, beta=0.7)
+    waves: list[list[int]] = []
+
+    def counted(*arguments, **options):
+        waves.append(arguments[3])
+        return run(*arguments, **options)
+
+    monkeypatch.setattr(onpolicy, "run_wave", counted)
+    out, _ = on_policy(tmp_path, expert, real, beta=0.7)
+    assert waves == [round_seeds(4, 2, 3)[2:]] and payload(out) == payload(mixed[0])
 
 
 @pytest.fixture

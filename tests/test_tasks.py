@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from pydantic import ValidationError
 
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.seeds import SEEDS
+from acgd.simulate.seeds import ROUND_EPISODES, SEEDS, round_seeds
 from acgd.tasks import registry, starts
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.success import SuccessCounter
@@ -21,7 +21,7 @@ TASKS = list(registry.TASKS)
 @pytest.fixture(scope="module")
 def envs():
     """One state-only environment a task."""
-    return {name: registry.make(name, image=False) for name in TASKS}
+    return {name: registry.make(name, image_size=None) for name in TASKS}
 
 
 def actions(env, n: int, seed: int = 0) -> np.ndarray:
@@ -66,14 +66,14 @@ def test_starts_differ_by_seed_in_hand_object_and_goal(envs, name):
 
 @pytest.mark.parametrize("name", [n for n in TASKS if not n.endswith("-hard")])
 def test_nominal_start_of_fixed_tasks_is_one_state(name):
-    env = registry.make(TaskConfig(name=name, start="nominal"), image=False)
+    env = registry.make(TaskConfig(name=name, start="nominal"), image_size=None)
     assert np.array_equal(env.reset(seed=1)[0]["state"], env.reset(seed=2)[0]["state"])
 
 
 def test_perturbation_does_not_outlive_its_episode():
-    perturbed, nominal = registry.make("myo/obj-hold", image=False), TaskConfig(name="myo/obj-hold", start="nominal")
+    perturbed, nominal = registry.make("myo/obj-hold", image_size=None), TaskConfig(name="myo/obj-hold", start="nominal")
     goals = {s: perturbed.reset(seed=s)[0]["state"][perturbed.state_layout["goal_pos"]] for s in (1, 2, 3)}
-    centre = registry.make(nominal, image=False)
+    centre = registry.make(nominal, image_size=None)
     middle = centre.reset(seed=0)[0]["state"][centre.state_layout["goal_pos"]]
     for _ in range(50):
         perturbed.reset(seed=9)
@@ -83,7 +83,7 @@ def test_perturbation_does_not_outlive_its_episode():
 
 @pytest.mark.parametrize("name", TASKS)
 def test_snapshot_continues_bit_for_bit_in_another_environment(envs, name):
-    env, other = envs[name], registry.make(name, image=False)
+    env, other = envs[name], registry.make(name, image_size=None)
     env.reset(seed=7)
     run(env, actions(env, 5))
     snapshot = env.snapshot()
@@ -136,14 +136,14 @@ def test_reward_is_the_weighted_sum_of_its_terms(envs, name):
 
 def test_reward_weights_change_the_reward_and_unknown_terms_are_named():
     plain, heavy = (
-        registry.make("myo/reach", image=False),
-        registry.make("myo/reach", image=False, reward_weights={"reach": 20}),
+        registry.make("myo/reach", image_size=None),
+        registry.make("myo/reach", image_size=None, reward_weights={"reach": 20}),
     )
     plain.reset(seed=0), heavy.reset(seed=0)
     a, b = plain.step(idle(plain)), heavy.step(idle(heavy))
     assert b[1] - a[1] == pytest.approx(19 * a[4]["reward_terms"]["reach"], rel=1e-6)
     with pytest.raises(ValueError, match="raech.*bonus.*penalty.*reach"):
-        registry.make("myo/reach", image=False, reward_weights={"raech": 1})
+        registry.make("myo/reach", image_size=None, reward_weights={"raech": 1})
 
 
 def test_success_is_counted_three_ways():
@@ -158,7 +158,7 @@ def test_success_is_counted_three_ways():
 
 
 def test_lockstep_equals_one_after_the_other(envs):
-    lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image=False)
+    lock = Lockstep(TaskConfig(name="myo/pen-twirl"), 3, image_size=None)
     moves = actions(lock.envs[0], 60)
     lock.reset([1, 2, 3])
     for move in moves:
@@ -175,12 +175,50 @@ def test_lockstep_equals_one_after_the_other(envs):
         assert np.array_equal(last["state"], obs["state"][i])
 
 
+def test_lockstep_goes_on_from_snapshots(envs):
+    env, lock = envs["myo/pen-twirl"], Lockstep(TaskConfig(name="myo/pen-twirl"), 2, image_size=None)
+    env.reset(seed=4)
+    moves = actions(env, 6)
+    run(env, moves[:3])
+    snapshot = env.snapshot()
+    states = run(env, moves[3:])
+    lock.restore([snapshot, snapshot])
+    assert lock.active.all()
+    for move, state in zip(moves[3:], states):
+        obs, *_ = lock.step(np.tile(move, (2, 1)))
+        assert np.array_equal(obs["state"], np.tile(state, (2, 1)))
+    with pytest.raises(ValueError, match="3 episodes for 2"):
+        lock.reset([1, 2, 3])
+
+
 def test_seed_ranges_are_disjoint_and_say_when_they_end():
     ranges = sorted(vars(SEEDS).values(), key=lambda r: r.start)
-    assert len(ranges) == 7
+    assert len(ranges) == 8
     assert all(a.stop <= b.start for a, b in zip(ranges, ranges[1:]))
     with pytest.raises(ValueError, match="validation"):
         SEEDS.validation.take(10**9)
+
+
+def test_on_policy_rounds_of_one_student_share_no_seed():
+    for student in (0, 1, 89, 90, 10**6):
+        seeds = [seed for number in (1, 2, 3, 100) for seed in round_seeds(student, number, ROUND_EPISODES)]
+        assert len(set(seeds)) == len(seeds)
+        assert SEEDS.on_policy.start <= min(seeds) and max(seeds) < SEEDS.on_policy.stop
+    assert not set(round_seeds(0, 1, 1000)) & set(round_seeds(1, 1, 1000))
+    assert round_seeds(3, 2, 5) == round_seeds(3, 2, 9)[:5]
+    with pytest.raises(ValueError, match="round 101"):
+        round_seeds(0, 101, 1)
+
+
+@pytest.mark.parametrize("name", ["myo/pen-twirl", "opdex/spray-1"])
+def test_images_have_the_size_that_was_given_and_render_draws_without_them(name):
+    env = registry.make(name, image_size=32)
+    seen = env.reset(seed=1)[0]
+    assert seen["image"].shape == env.observation_space["image"].shape == env.render().shape == (32, 32, 3)
+    blind = registry.make(name, image_size=None)
+    assert set(blind.reset(seed=1)[0]) == set(blind.observation_space) == {"proprio", "state"}
+    assert blind.render().shape == (84, 84, 3)
+    assert np.array_equal(blind.render(32), seen["image"])
 
 
 def test_unknown_task_names_the_nearest():
@@ -193,7 +231,7 @@ def test_the_fixed_pose_can_be_held():
     constant `action` stays within the threshold of 0.7 rad to the time limit. Its muscle forces balance gravity and
     passive joints there, found by bounded least squares."""
     held = json.loads((Path(__file__).parent / "pose_held.json").read_text())
-    env = registry.make(TaskConfig(name="myo/pose", start="nominal"), image=False)
+    env = registry.make(TaskConfig(name="myo/pose", start="nominal"), image_size=None)
     env.reset(seed=0)
     action = np.array(held["action"], np.float32)
     env.data.qpos[:], env.data.act[:] = held["qpos"], 1 / (1 + np.exp(-5 * (action - 0.5)))

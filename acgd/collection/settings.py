@@ -1,11 +1,13 @@
-"""Demonstrations: how many, and how the expert acts while they are recorded."""
+"""Demonstrations: how many, and how the expert acts while they are recorded. On-policy episodes of a student."""
 
 from typing import Literal
 
 from pydantic import Field
 
-from acgd.settings import Section
-from acgd.tasks.settings import TaskConfig
+from acgd.rollouts.settings import RoundsConfig
+from acgd.settings import Request, Section
+from acgd.students.settings import ActingConfig
+from acgd.tasks.settings import ImageConfig, TaskConfig
 
 
 class RolloutsConfig(Section):
@@ -34,8 +36,20 @@ class RolloutsConfig(Section):
     )
 
 
-class RolloutsRequest(Section):
-    """What the stage `rollouts` reads."""
+class RolloutsRequest(Request):
+    """What the stage `rollouts` depends on, besides the expert."""
 
     task: TaskConfig
+    image: ImageConfig
     rollouts: RolloutsConfig
+
+
+class OnPolicyRequest(Request):
+    """What the episodes of one round and task depend on, besides student, expert and demonstrations."""
+
+    task: TaskConfig
+    image: ImageConfig
+    acting: ActingConfig
+    rounds: RoundsConfig
+    round: int = Field(ge=1, description="Number of the round. The student is that of the round before.")
+    seed: int = Field(ge=0, description="Seed of the student. Students of different seeds begin at different episodes.")

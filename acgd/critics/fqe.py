@@ -67,7 +67,7 @@ def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, pr
         rng,
     )
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
-        tried = branches(lock.envs, expert, chosen, actions, branch.steps, bar)
+        tried = branches(lock, expert, chosen, actions, branch.steps, bar)
     return concatenate([data, tried])
 
 

@@ -1,16 +1,17 @@
-"""What the frozen expert meets: rollouts, clean and perturbed, failures kept, and branches off the states they pass."""
+"""What the frozen expert meets: rollouts, clean and perturbed, failures kept, and branches off the states that they pass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import gymnasium
 import numpy as np
 
 from acgd.critics.perturbations import Kind, kinds, offsets
 from acgd.critics.settings import PerturbationConfig
-from acgd.critics.transitions import ROLLOUT, Recorder, Transitions
+from acgd.critics.transitions import TransitionLog, Transitions
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.policy import FirstThen, Mean, Offset
+from acgd.simulate.roll import Recorder, Step, roll
 from acgd.simulate.seeds import SeedRange
 from acgd.tasks.snapshot import Snapshot
 from acgd.tracking.progress import Bar
@@ -53,85 +54,75 @@ def rollouts(
     """
     for env in lock.envs:
         env.ignore_time_limit = True  # `limit` ends an episode here
-    recorder, visits, given, kind = Recorder(), [], [], kinds(perturbation)
+    log, visits, given, kind = TransitionLog(), [], [], kinds(perturbation)
     action_dim = lock.envs[0].action_space.shape[0]
-    while len(given) < episodes if episodes is not None else recorder.steps < steps:
+    while len(given) < episodes if episodes is not None else log.steps < steps:
         count = len(lock.envs) if episodes is None else min(len(lock.envs), episodes - len(given))
-        first, before = recorder.open(count), recorder.steps
-        given += [next(kind) for _ in range(count)]
+        first, before = len(given), log.steps
+        new = [next(kind) for _ in range(count)]
+        given += new
         rngs = [np.random.default_rng([seed, episode]) for episode in range(first, first + count)]
-        noise = np.stack(
-            [offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(given[first:], rngs)]
-        )
+        noise = np.stack([offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(new, rngs)])
         visited = np.stack([(rng.random(limit) < visit_rate) | (np.arange(limit) == 0) for rng in rngs])
-        limits = np.array([limit + beyond * (name == "clean") for name, _ in given[first:]])
-        state = lock.reset(seeds.take(count, offset=first))["state"]
-        for t in range(limits.max()):
-            lock.active &= t < limits
-            active = np.flatnonzero(lock.active)
-            if not len(active):
-                break
-            if t < limit:
-                visits += [
-                    Visit(first + i, given[first + i], state[i], lock.envs[i].snapshot())
-                    for i in active
-                    if visited[i, t]
-                ]
-            action = np.clip(expert.mean(state) + noise[:, t], -1, 1)
-            obs, reward, _, _ = lock.step(action)
-            for i in active:
-                followed = not noise[i, t].any()
-                recorder.add(first + i, state[i], action[i], reward[i], obs["state"][i], lock.terminated[i], followed)
-            state = obs["state"]
-        bar.update(recorder.steps - before)
-    return recorder.transitions(expert), visits, given
+        keeper = VisitRecorder(first, new, visited)
+        roll(
+            lock,
+            Offset(Mean(expert), noise),
+            seeds.take(count, offset=first),
+            limits=np.array([limit + beyond * (name == "clean") for name, _ in new]),
+            recorders=[keeper, log.batch(on_policy=~noise.any(-1))],
+        )
+        visits += keeper.visits
+        bar.update(log.steps - before)
+    return log.transitions(expert), visits, given
+
+
+class VisitRecorder(Recorder):
+    """Keeps the states of one batch that are to be visited again."""
+
+    def __init__(self, first: int, kinds: list[Kind], visited: np.ndarray) -> None:
+        """first: number of the batch's first episode. visited: (n, T) bool, which steps' states are kept."""
+        self.first, self.kinds, self.visited = first, kinds, visited
+        self.visits: list[Visit] = []
+
+    def before(self, lock: Lockstep, step: Step) -> None:
+        if step.number >= self.visited.shape[1]:
+            return
+        state = step.observations["state"]
+        self.visits += [
+            Visit(self.first + i, self.kinds[i], state[i], lock.envs[i].snapshot())
+            for i in step.running
+            if self.visited[i, step.number]
+        ]
 
 
 def branches(
-    envs: Sequence[gymnasium.Env],
-    expert: Expert,
-    visits: Sequence[Visit],
-    actions: np.ndarray,
-    steps: int,
-    bar: Bar,
+    lock: Lockstep, expert: Expert, visits: Sequence[Visit], actions: np.ndarray, steps: int, bar: Bar
 ) -> Transitions:
     """From each of V visited states, each of K first actions (V, K, A), then the expert's mean: V * K episodes of `steps`.
 
     Episodes lie state by state, action by action; the first row of each carries the number of its state.
     Time limits are ignored; termination is not.
     """
-    recorder = Recorder()
-    jobs = [(v, k) for v in range(actions.shape[0]) for k in range(actions.shape[1])]
-    recorder.open(len(jobs))
-    for env in envs:
+    for env in lock.envs:
         env.ignore_time_limit = True
-    for at in range(0, len(jobs), len(envs)):
-        wave, before = jobs[at : at + len(envs)], recorder.steps
-        for env, (v, _) in zip(envs, wave):
-            env.restore(visits[v].snapshot)
-        states = [visits[v].state for v, _ in wave]
-        active = list(range(len(wave)))
-        for t in range(steps):
-            action = actions[tuple(np.transpose(wave))] if t == 0 else expert.mean(np.stack(states))
-            for i in list(active):
-                obs, reward, terminated, _, _ = envs[i].step(action[i])
-                recorder.add(
-                    at + i,
-                    states[i],
-                    action[i],
-                    reward,
-                    obs["state"],
-                    terminated,
-                    t > 0,
-                    wave[i][0] if t == 0 else ROLLOUT,
-                )
-                states[i] = obs["state"]
-                if terminated:
-                    active.remove(i)
-            if not active:
-                break
-        bar.update(recorder.steps - before)
-    return recorder.transitions(expert)
+    log = TransitionLog()
+    state_of = np.repeat(np.arange(actions.shape[0]), actions.shape[1])
+    first = actions.reshape(-1, actions.shape[-1])
+    for at in range(0, len(first), len(lock.envs)):
+        batch, before = slice(at, at + len(lock.envs)), log.steps
+        count = len(first[batch])
+        on_policy = np.broadcast_to(np.arange(steps) > 0, (count, steps))
+        roll(
+            lock,
+            FirstThen(first[batch], Mean(expert)),
+            range(at, at + count),  # nothing here draws from them
+            snapshots=[visits[v].snapshot for v in state_of[batch]],
+            limits=np.full(count, steps),
+            recorders=[log.batch(on_policy, state_of[batch])],
+        )
+        bar.update(log.steps - before)
+    return log.transitions(expert)
 
 
 def candidates(expert: Expert, state: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:

@@ -58,7 +58,7 @@ def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
     actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, rng)
     steps = actions.shape[0] * actions.shape[1] * quality.tail
     with ctx.progress(steps, "quality: candidate actions, steps at most") as bar:
-        tried = branches(lock.envs, expert, chosen, actions, quality.tail, bar)
+        tried = branches(lock, expert, chosen, actions, quality.tail, bar)
     first = tried.starts
     returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
     q = _values(critic, tried.state[first], tried.action[first]).mean(0).reshape(returns.shape)

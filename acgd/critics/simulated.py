@@ -15,7 +15,7 @@ ENVIRONMENTS = 8
 
 def lockstep(task: TaskConfig, expert: Expert) -> Lockstep:
     """Environments with the rewards that the expert was trained on."""
-    return Lockstep(task, ENVIRONMENTS, image=False, reward_weights=expert.meta["reward_weights"])
+    return Lockstep(task, ENVIRONMENTS, image_size=None, reward_weights=expert.meta["reward_weights"])
 
 
 def simulated_once(state: Path, simulate: Callable[[], Transitions]) -> Transitions:

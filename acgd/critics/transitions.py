@@ -1,4 +1,4 @@
-"""Steps of the simulator as a critic is fitted on them, and how they are gathered side by side."""
+"""Steps of the simulator as a critic is fitted on them, and how they are recorded."""
 
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -7,6 +7,8 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from acgd.experts.policy import Expert
+from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.roll import Recorder, Step
 
 ROLLOUT = -1
 """`branch` of a row that is not the first action of a branch."""
@@ -26,7 +28,7 @@ class Transitions:
     next_state: np.ndarray
     """(N, S) float32"""
     next_action: np.ndarray
-    """(N, A) float32, pi_E(next_state): the expert is frozen, so it is asked once"""
+    """(N, A) float32, pi_E(next_state): the expert is frozen, so this never changes"""
     terminated: np.ndarray
     """(N,) bool, by the simulator; a time limit is no termination"""
     on_policy: np.ndarray
@@ -63,24 +65,22 @@ def concatenate(parts: list[Transitions]) -> Transitions:
     return Transitions(**rows, ends=np.concatenate([part.ends + offset for part, offset in zip(parts, offsets)]))
 
 
-class Recorder:
-    """Takes down episodes that advance side by side, and lays them out one after the other."""
+class TransitionLog:
+    """Gathers batches of episodes, step by step, and lays them out one after the other."""
 
     def __init__(self) -> None:
         self.steps = 0
         self._episodes: list[list[tuple]] = []
 
-    def open(self, count: int) -> int:
-        """`count` new episodes; returns the number of the first."""
-        self._episodes += [[] for _ in range(count)]
-        return len(self._episodes) - count
+    def batch(self, on_policy: np.ndarray, branch: np.ndarray | None = None) -> "BatchRecorder":
+        """A recorder for the next batch of n episodes.
 
-    def add(
-        self, episode: int, state, action, reward, next_state, terminated, on_policy, branch: int = ROLLOUT
-    ) -> None:
-        """One step of one episode."""
-        self._episodes[episode].append((state, action, reward, next_state, terminated, on_policy, branch))
-        self.steps += 1
+        on_policy: (n, T) bool, steps whose action is the expert's own mean. branch: (n,) numbers of the states that the
+        episodes branch off, if they do.
+        """
+        rows: list[list[tuple]] = [[] for _ in on_policy]
+        self._episodes += rows
+        return BatchRecorder(self, rows, on_policy, branch)
 
     def transitions(self, expert: Expert) -> Transitions:
         """Every step so far."""
@@ -88,15 +88,33 @@ class Recorder:
             *(row for episode in self._episodes for row in episode)
         )
         arrived = np.stack(next_state)
-        asked = [expert.mean(arrived[at : at + INFERENCE_ROWS]) for at in range(0, len(arrived), INFERENCE_ROWS)]
+        means = [expert.mean(arrived[at : at + INFERENCE_ROWS]) for at in range(0, len(arrived), INFERENCE_ROWS)]
         return Transitions(
             state=np.stack(state),
             action=np.stack(action).astype(np.float32),
             reward=np.asarray(reward, np.float32),
             next_state=arrived,
-            next_action=np.concatenate(asked),
+            next_action=np.concatenate(means),
             terminated=np.asarray(terminated, bool),
             on_policy=np.asarray(on_policy, bool),
             branch=np.asarray(branch, np.int64),
             ends=np.cumsum([len(episode) for episode in self._episodes]).astype(np.int64),
         )
+
+
+class BatchRecorder(Recorder):
+    """Records the steps of one batch into a log."""
+
+    def __init__(
+        self, log: TransitionLog, rows: list[list[tuple]], on_policy: np.ndarray, branch: np.ndarray | None
+    ) -> None:
+        self.log, self.rows, self.on_policy, self.branch = log, rows, on_policy, branch
+
+    def after(self, lock: Lockstep, step: Step) -> None:
+        state, next_state = step.observations["state"], step.arrived["state"]
+        for i in step.running:
+            branch = self.branch[i] if self.branch is not None and step.number == 0 else ROLLOUT
+            on_policy = self.on_policy[i, step.number]
+            row = (state[i], step.actions[i], step.reward[i], next_state[i], lock.terminated[i], on_policy, branch)
+            self.rows[i].append(row)
+        self.log.steps += len(step.running)

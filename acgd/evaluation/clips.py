@@ -1,4 +1,4 @@
-"""Short films of episodes, the same bytes for the same episode."""
+"""The stage `clips`: short films of an evaluation's episodes, the same bytes for the same episode."""
 
 import subprocess
 from pathlib import Path
@@ -6,20 +6,32 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from acgd.evaluation.episodes import Episode
+from acgd.evaluation.episodes import Episode, read_actions
+from acgd.evaluation.settings import ClipsRequest
+from acgd.store.stage import Context, Inputs
 from acgd.tasks import registry
-from acgd.tasks.settings import TaskConfig
 
 SIZE = 252
-"""Pixels a side; rendered anew at this size, since the policy's own images are small."""
+"""Pixels a side; drawn anew at this size, since the policy's own images are small."""
 FRAMES_PER_S = 25
 LAST_FRAME_S = 0.6
 """How long the last frame, on which `final` success is decided, stays."""
 
 
-def filming(task: TaskConfig) -> gymnasium.Env:
-    """An environment of the task whose pictures are SIZE pixels a side."""
-    return registry.make(task.model_copy(update={"image_size": SIZE}), image=False)
+def clips(request: ClipsRequest, inputs: Inputs, ctx: Context) -> None:
+    """Films the first success and the first failure of each task, where there is one: <task>-success.mp4, <task>-failure.mp4."""
+    recorded = read_actions(inputs["evaluation"] / "actions.safetensors")
+    with ctx.progress(len(recorded), "filming") as bar:
+        for task in request.tasks:
+            of_task = [(episode, actions) for episode, actions in recorded if episode.label.task == task.name]
+            if not of_task:
+                continue
+            start = task.model_copy(update={"start": of_task[0][0].label.start})
+            env = registry.make(start, image_size=None)
+            for episode, actions in of_task:
+                outcome = "success" if episode.final else "failure"
+                film(ctx.out / f"{task.name.replace('/', '-')}-{outcome}.mp4", env, episode, actions)
+                bar.update(1)
 
 
 def film(path: Path, env: gymnasium.Env, episode: Episode, actions: np.ndarray) -> None:
@@ -29,11 +41,11 @@ def film(path: Path, env: gymnasium.Env, episode: Episode, actions: np.ndarray) 
     """
     every = max(1, round(1 / (FRAMES_PER_S * env.control_step)))
     env.reset(seed=episode.seed)
-    frames = [env.render().copy()]
+    frames = [env.render(SIZE)]
     for step, action in enumerate(actions, start=1):
         *_, info = env.step(action)
         if step % every == 0 or step == len(actions):
-            frames.append(env.render().copy())
+            frames.append(env.render(SIZE))
     if info["success"] != {"final": episode.final, "held": episode.held, "once": episode.once}:
         raise RuntimeError(
             f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat"

@@ -1,13 +1,12 @@
-"""Episodes in lockstep: how they are run, kept against a kill, and read again.
+"""Episodes of an evaluation: how they are run, kept against a kill, and read again.
 
 What an episode gives depends on its seed, its policy and its row in the batch, never on the episodes beside it or on how
-many there are: seeds go to batches in order, `lockstep` at a time, and a policy computes that many rows however many
-episodes are left, since a matrix product may round differently for another number of rows. (The shuffled-image control
-takes another episode's image, and so depends on it by design.)
+many there are: seeds go to batches in order, `lockstep` at a time, and policies are padded to that many rows. (The
+shuffled-image control takes another episode's image, and so depends on it by design.)
 """
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,16 +14,15 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.policy import Policy
+from acgd.simulate.record import Outcomes
+from acgd.simulate.roll import roll
 from acgd.simulate.seeds import SEEDS
 from acgd.store.atomic import replace_file
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 from acgd.tracking.progress import Bar
-
-Policy = Callable[[dict[str, np.ndarray], int], np.ndarray]
-"""(stacked observations of m episodes, time step) -> actions (m, A)."""
 
 
 @dataclass(frozen=True)
@@ -65,41 +63,53 @@ class Episode:
         return cls(label, seed=row.pop("episode_seed"), reward=row.pop("return"), **row)
 
 
-def roll(lock: Lockstep, seeds: list[int], policy: Policy, label: Label) -> tuple[list[Episode], np.ndarray]:
-    """Runs one batch to its end. Returns its episodes, and the actions (T, m, A) float32 that were chosen."""
-    obs = lock.reset(seeds)
-    reward, steps, chosen = np.zeros(len(seeds)), np.zeros(len(seeds), np.int64), []
-    while lock.active.any():
-        steps += lock.active
-        chosen.append(np.asarray(policy(obs, len(chosen)), np.float32))
-        obs, gained, _, infos = lock.step(chosen[-1])
-        reward += gained
+def run_batch(
+    lock: Lockstep,
+    seeds: list[int],
+    policy: Policy,
+    label: Label,
+    task: int = 0,
+    goals: np.ndarray | None = None,
+) -> tuple[list[Episode], np.ndarray]:
+    """The episodes of one batch, and the actions (T, m, A) float32 that were chosen."""
+    outcomes = Outcomes()
+    roll(lock, policy, seeds, task=task, goals=goals, recorders=[outcomes])
     episodes = [
         Episode(
             label,
             seed,
-            **{rule: bool(met) for rule, met in infos[i]["success"].items()},
-            steps=int(steps[i]),
-            reward=float(reward[i]),
+            **{rule: bool(met) for rule, met in outcomes.success[i].items()},
+            steps=int(outcomes.steps[i]),
+            reward=float(outcomes.reward[i]),
         )
         for i, seed in enumerate(seeds)
     ]
-    return episodes, np.stack(chosen)
+    return episodes, outcomes.actions
 
 
 def run(
-    lock: Lockstep, seeds: list[int], policy_for: Callable[[list[int]], Policy], label: Label, state: Path, bar: Bar
+    lock: Lockstep,
+    seeds: list[int],
+    policy: Policy,
+    label: Label,
+    state: Path,
+    bar: Bar,
+    *,
+    task: int = 0,
+    goals: np.ndarray | None = None,
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
     """All seeds, batch by batch; batches that `state` holds from before a kill are not run again.
 
-    Returns the episodes in the order of the seeds, and each seed's actions (steps, A).
+    task: the task's id, as the policy counts. goals: (E, H, W, 3) uint8 goal images of the seeds, or None. Returns the
+    episodes in the order of the seeds, and each seed's actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)
     for at in range(0, len(seeds), size):
-        batch, file = seeds[at : at + size], state / f"{name}-{at:04d}.safetensors"
+        file = state / f"{name}-{at:04d}.safetensors"
         if not file.exists():
-            _keep(file, *roll(lock, batch, policy_for(batch), label))
+            shown = None if goals is None else goals[at : at + size]
+            _keep(file, *run_batch(lock, seeds[at : at + size], policy, label, task, shown))
         ended, chosen = _kept(file)
         episodes += ended
         actions |= {e.seed: chosen[: e.steps, i] for i, e in enumerate(ended)}
@@ -115,9 +125,8 @@ def _keep(file: Path, episodes: list[Episode], actions: np.ndarray) -> None:
 
 def _kept(file: Path) -> tuple[list[Episode], np.ndarray]:
     with safe_open(file, "numpy") as batch:
-        return [Episode.from_json(line) for line in batch.metadata()["episodes"].splitlines()], batch.get_tensor(
-            "actions"
-        )
+        lines = batch.metadata()["episodes"].splitlines()
+        return [Episode.from_json(line) for line in lines], batch.get_tensor("actions")
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:
@@ -130,25 +139,25 @@ def read(path: Path) -> list[Episode]:
     return [Episode.from_json(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-def seeds_of(task: TaskConfig, split: str, episodes: int) -> list[int]:
-    """The first seeds of a split; from the nominal start only those that do not repeat an earlier episode."""
-    seeds = {"evaluation": SEEDS.evaluation, "validation": SEEDS.validation}[split].take(episodes)
+def write_actions(path: Path, episodes: list[tuple[Episode, np.ndarray]]) -> None:
+    """A safetensors file with the actions (steps, A) of some episodes, and in its header which episodes these are."""
+    arrays = {f"{at}": np.ascontiguousarray(actions) for at, (_, actions) in enumerate(episodes)}
+    # One entry in the header: safetensors writes several in an order of its own, and bytes would not repeat.
+    save_file(arrays, path, metadata={"episodes": "\n".join(episode.to_json() for episode, _ in episodes)})
+
+
+def read_actions(path: Path) -> list[tuple[Episode, np.ndarray]]:
+    """What `write_actions` wrote."""
+    with safe_open(path, "numpy") as file:
+        lines = file.metadata()["episodes"].splitlines()
+        return [(Episode.from_json(line), file.get_tensor(f"{at}")) for at, line in enumerate(lines)]
+
+
+def seeds_of(task: TaskConfig, split: str, episodes: int, offset: int = 0) -> list[int]:
+    """The seeds of a split from `offset` on; from the nominal start only those that do not repeat an earlier episode."""
+    seeds = {"evaluation": SEEDS.evaluation, "validation": SEEDS.validation}[split].take(episodes, offset)
     if task.start == "perturbed":
         return seeds
-    env = registry.make(task, image=False)
+    env = registry.make(task, image_size=None)
     first = {env.reset(seed=seed)[0]["state"].tobytes(): seed for seed in reversed(seeds)}
     return sorted(first.values())
-
-
-def expert_policy(expert: Expert, size: int) -> Policy:
-    """The expert's mean action on the privileged state, computed `size` rows at a time."""
-
-    def act(obs: dict[str, np.ndarray], step: int) -> np.ndarray:
-        return expert.mean(padded(obs["state"], size))[: len(obs["state"])]
-
-    return act
-
-
-def padded(rows: np.ndarray, size: int) -> np.ndarray:
-    """(m, ...) -> (size, ...), the last row repeated."""
-    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)]) if len(rows) < size else rows

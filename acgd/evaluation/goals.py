@@ -5,15 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.evaluation.episodes import Label, expert_policy, roll
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.policy import Mean, Padded
+from acgd.simulate.roll import roll
 from acgd.tasks.settings import TaskConfig
 
 
 def demonstration_for(seed: int, demonstrations: int) -> int:
-    """The demonstration that an evaluation seed is given: the same for every student and every control."""
+    """The demonstration that belongs to an episode's seed: the same for every student and every control."""
     return int(np.random.default_rng([seed, 2]).integers(demonstrations))
 
 
@@ -23,12 +24,12 @@ def training_goals(rollouts: Path, seeds: Sequence[int]) -> np.ndarray:
     return images[[demonstration_for(seed, len(images)) for seed in seeds]]
 
 
-def oracle_goals(task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int) -> np.ndarray:
+def oracle_goals(task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int, image_size: int) -> np.ndarray:
     """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
-    lock = Lockstep(task, size, image=False)
+    lock = Lockstep(task, size, image_size=None)
     images = []
     for at in range(0, len(seeds), size):
         batch = list(seeds[at : at + size])
-        roll(lock, batch, expert_policy(expert, size), Label("expert", task.name, "none", "none", task.start))
-        images += [env.render() for env in lock.envs[: len(batch)]]
+        roll(lock, Padded(Mean(expert), size), batch)
+        images += [env.render(image_size) for env in lock.envs[: len(batch)]]
     return np.stack(images)

@@ -19,7 +19,7 @@ class Curve:
     def __init__(self, config: ExpertRequest, state: Path, metrics, points: list[dict]) -> None:
         self.points = points
         self._config, self._best, self._metrics = config, state / "best", metrics
-        self._lock = Lockstep(config.task, ENVIRONMENTS, image=False, reward_weights=config.expert.reward_weights)
+        self._lock = Lockstep(config.task, ENVIRONMENTS, image_size=None, reward_weights=config.expert.reward_weights)
 
     def add(self, expert: Expert, step: int, critic: Critic | None = None, **more: float) -> dict:
         """Evaluate the deterministic `expert` on validation seeds, never on the card's; returns the new point.

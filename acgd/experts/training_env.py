@@ -14,7 +14,7 @@ class StateOnly(gymnasium.ObservationWrapper):
     """The privileged state as the whole observation, and seeds from the training range."""
 
     def __init__(self, config: ExpertRequest, stream: int) -> None:
-        super().__init__(registry.make(config.task, image=False, reward_weights=config.expert.reward_weights))
+        super().__init__(registry.make(config.task, image_size=None, reward_weights=config.expert.reward_weights))
         self.observation_space = self.env.observation_space["state"]
         self._advanced = config.expert.advanced_starts
         if self._advanced and TASKS[config.task.name].kind not in ADVANCED_KINDS:

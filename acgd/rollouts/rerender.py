@@ -4,24 +4,26 @@ from pathlib import Path
 
 import numpy as np
 
-from acgd.collection.episode import FIELDS
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_attributes
+from acgd.simulate.record import FIELDS
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import Snapshot
 
 
-def rerender(artifact_dir: Path, task: TaskConfig, episodes: list[int] | None = None) -> dict[int, np.ndarray]:
+def rerender(
+    artifact_dir: Path, task: TaskConfig, episodes: list[int] | None = None, image_size: int | None = None
+) -> dict[int, np.ndarray]:
     """Frames (T + 1, H, W, 3) uint8 of each episode, the final observation last.
 
-    With the task that the episodes were collected from, they equal the stored ones byte for byte;
-    with another `image_size`, they are what the camera would have seen.
+    With the task that the episodes were collected from and without `image_size`, they equal the stored ones byte for byte;
+    with another `image_size`, in pixels, they are what the camera would have seen.
     """
     stored = read_attributes(Path(artifact_dir) / "rollouts.zarr")["chunks"]
     fields = [name for name in stored if name.startswith(FIELDS)]
-    demos = Demonstrations.load(artifact_dir, ["integration", "final_integration", *fields])
-    env = registry.make(task, image=True)
+    demos = Demonstrations.load(artifact_dir, ["integration", "final_integration", "final_image", *fields])
+    env = registry.make(task, image_size=image_size or demos.arrays["final_image"].shape[1])
     env.reset(seed=0)
     frames = {}
     for e in range(len(demos.episode_ends)) if episodes is None else episodes:

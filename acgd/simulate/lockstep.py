@@ -1,31 +1,42 @@
-"""Several episodes of one task side by side, so that a policy is asked once for all of them."""
+"""Several episodes of one task side by side, so that a policy computes one action for each of them at once."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
+from acgd.tasks.snapshot import Snapshot
 
 
 class Lockstep:
     """`n` environments of one task.
 
-    After `reset(seeds)` with m <= n seeds, arrays have m rows. An environment whose episode has ended is
-    not stepped any more: its last observation repeats and its reward is 0.
+    After `reset(seeds)` or `restore(snapshots)` with m <= n of them, arrays have m rows. An environment whose episode has
+    ended is not stepped any more: its last observation repeats and its reward is 0.
     """
 
-    def __init__(self, task: TaskConfig, n: int, *, image: bool, reward_weights: dict[str, float] | None = None):
-        self.envs = [registry.make(task, image=image, reward_weights=reward_weights) for _ in range(n)]
+    def __init__(
+        self,
+        task: TaskConfig,
+        n: int,
+        *,
+        image_size: int | None,
+        reward_weights: dict[str, float] | None = None,
+    ) -> None:
+        """image_size: pixels a side of the observations' images; None draws none."""
+        self.envs = [registry.make(task, image_size=image_size, reward_weights=reward_weights) for _ in range(n)]
         self.active = np.zeros(0, bool)
 
-    def reset(self, seeds: list[int]) -> dict[str, np.ndarray]:
+    def reset(self, seeds: Sequence[int]) -> dict[str, np.ndarray]:
         """Start one episode per seed; returns stacked observations."""
-        if not 0 < len(seeds) <= len(self.envs):
-            raise ValueError(f"{len(seeds)} seeds for {len(self.envs)} environments: give 1 to {len(self.envs)}")
-        self._obs = [env.reset(seed=seed)[0] for env, seed in zip(self.envs, seeds)]
-        self._info: list[dict] = [{} for _ in seeds]
-        self.active = np.ones(len(seeds), bool)
-        self.terminated = np.zeros(len(seeds), bool)
-        return self._stack()
+        self._check(len(seeds))
+        return self._begin([env.reset(seed=seed)[0] for env, seed in zip(self.envs, seeds)])
+
+    def restore(self, snapshots: Sequence[Snapshot]) -> dict[str, np.ndarray]:
+        """Go on from one snapshot per environment; returns stacked observations."""
+        self._check(len(snapshots))
+        return self._begin([env.restore(snapshot) for env, snapshot in zip(self.envs, snapshots)])
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict]]:
         """Step the active environments with their rows of `actions` (m, A).
@@ -38,6 +49,17 @@ class Lockstep:
             done[i], self.terminated[i] = terminated or truncated, terminated
         self.active = self.active & ~done
         return self._stack(), reward, done, list(self._info)
+
+    def _check(self, episodes: int) -> None:
+        if not 0 < episodes <= len(self.envs):
+            raise ValueError(f"{episodes} episodes for {len(self.envs)} environments: give 1 to {len(self.envs)}")
+
+    def _begin(self, observations: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        self._obs = observations
+        self._info: list[dict] = [{} for _ in observations]
+        self.active = np.ones(len(observations), bool)
+        self.terminated = np.zeros(len(observations), bool)
+        return self._stack()
 
     def _stack(self) -> dict[str, np.ndarray]:
         return {key: np.stack([obs[key] for obs in self._obs]) for key in self._obs[0]}

@@ -16,7 +16,7 @@ class SeedRange:
         first = self.start + offset
         if n < 0 or offset < 0 or first + n > self.stop:
             raise ValueError(
-                f"{n} {self.purpose} seeds from offset {offset} asked, the range has {self.stop - self.start}: ask for fewer"
+                f"{n} {self.purpose} seeds from offset {offset} are more than the range's {self.stop - self.start}: take fewer"
             )
         return list(range(first, first + n))
 
@@ -32,6 +32,27 @@ class Seeds:
     validation: SeedRange = SeedRange("validation", 40_000_000, 50_000_000)
     expert_card: SeedRange = SeedRange("expert-card", 50_000_000, 60_000_000)
     evaluation: SeedRange = SeedRange("evaluation", 60_000_000, 70_000_000)
+    on_policy: SeedRange = SeedRange("on-policy", 70_000_000, 80_000_000)
 
 
 SEEDS = Seeds()
+
+ROUNDS = 100
+"""Most on-policy rounds of a student."""
+ROUND_EPISODES = 10_000
+"""Most episodes per task in one round."""
+_BLOCK, _STUDENTS = 100_000, 90
+"""Seeds set aside for one round; places in them where students begin."""
+
+
+def round_seeds(student: int, round: int, episodes: int) -> list[int]:
+    """The on-policy seeds of one round (1, 2, ...) of the student with training seed `student`, `episodes` of them.
+
+    Two rounds of one student share no seed. Two students may.
+    """
+    if not (1 <= round <= ROUNDS and episodes <= ROUND_EPISODES):
+        raise ValueError(
+            f"round {round} of {episodes} episodes: there are {ROUNDS} rounds of {ROUND_EPISODES} episodes"
+        )
+    first = (round - 1) * _BLOCK + (student % _STUDENTS) * ((_BLOCK - ROUND_EPISODES) // _STUDENTS)
+    return SEEDS.on_policy.take(episodes, offset=first)

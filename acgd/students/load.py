@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from acgd.settings import Section, imported
+from acgd.simulate.policy import STUDENT_ENTRIES, Observations, Padded, Policy, Restricted
 from acgd.store.stage import Inputs
 from acgd.students.data import Data
 from acgd.students.kinds import STUDENTS
@@ -85,7 +86,7 @@ def load_policy(
 
 
 class StudentPolicy:
-    """A student in the simulator. It passes on `image` and `proprio`, and nothing else: no kind can read the state."""
+    """A student in the simulator, given `image` and `proprio` and nothing else: no kind can read the state."""
 
     def __init__(
         self,
@@ -98,26 +99,20 @@ class StudentPolicy:
         rows: int | None = None,
     ) -> None:
         """`backbone`: (B, H, W, 3) uint8 -> (B, F), None for a student that owns its CNN."""
-        self.tasks, self.rows = list(tasks), rows
+        self.tasks = list(tasks)
         """Names of the tasks; a task id is a place in this list."""
         self.uses_goal = student.imitation.goal_image != "off"
-        self.policy = student.policy(Perception(backbone, uses_goal=self.uses_goal, device=device), acting)
+        policy: Policy = student.policy(Perception(backbone, uses_goal=self.uses_goal, device=device), acting)
+        policy = Restricted(policy, STUDENT_ENTRIES)
+        self.policy = policy if rows is None else Padded(policy, rows)
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         """tasks (n,) int, goal images (n, H, W, 3) uint8 or None, seeds of the episodes -> memory."""
-        goals = None if goals is None else self._padded(goals)
-        return self.policy.start(self._padded(np.asarray(tasks)), goals, self._padded(np.asarray(seeds)).tolist())
+        return self.policy.start(tasks, goals, seeds)
 
-    def act(self, obs: Mapping[str, np.ndarray], memory: Any) -> tuple[np.ndarray, Any]:
+    def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
         """image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
-        seen = {name: self._padded(obs[name]) for name in ("image", "proprio")}
-        actions, memory = self.policy.act(seen, memory)
-        return actions[: len(obs["image"])], memory
-
-    def _padded(self, array: np.ndarray) -> np.ndarray:
-        """(n, ...) -> (rows, ...), the last row repeated."""
-        missing = 0 if self.rows is None else self.rows - len(array)
-        return np.concatenate([array, np.repeat(array[-1:], missing, axis=0)]) if missing > 0 else array
+        return self.policy.act(observations, memory)
 
 
 def _cnn_width(backbone: Path) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 
 from acgd.tasks import spray
 from acgd.tasks.bottle import Bottle
-from acgd.tasks.observation import layout, space
+from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.scene import Scene
 from acgd.tasks.scissors import Scissors
 from acgd.tasks.settings import TaskConfig
@@ -50,7 +50,7 @@ _BAD = [
 class DexterousTask(gymnasium.Env):
     """A BiDex or OpDex task.
 
-    Observations: `image` (H, W, 3) uint8 (absent with `image=False`); `proprio` float32: the robot's joint positions,
+    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` float32: the robot's joint positions,
     velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,) float32:
     proprio, the steps for which the goal has been met, and everything about the object, named by `state_layout`.
 
@@ -64,7 +64,7 @@ class DexterousTask(gymnasium.Env):
         spec: TaskSpec,
         config: TaskConfig,
         *,
-        image: bool = True,
+        image_size: int | None = 84,
         reward_weights: dict[str, float] | None = None,
     ) -> None:
         self.task, self.config = spec, config
@@ -80,15 +80,13 @@ class DexterousTask(gymnasium.Env):
         self.hand_qpos, self.hand_qvel = scene.robot.qpos, scene.robot.qvel
         self._low, self._high = self.model.actuator_ctrlrange.T
         self._moving, self._met_steps = self.data.userdata[:-1], self.data.userdata[-1:]  # views
-        self._renderer = None
-        self._image = image
+        self._renderers = {}
+        self._image_size = image_size
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self._start(None)
         observed = self._observe_state()
         self.state_layout = layout(self._proprio_entries() | self._scene_entries())
-        self.observation_space = space(
-            observed["proprio"].size, observed["state"].size, config.image_size if image else None
-        )
+        self.observation_space = space(observed["proprio"].size, observed["state"].size, image_size)
 
     # -- episode ---------------------------------------------------------------------------------
 
@@ -178,18 +176,19 @@ class DexterousTask(gymnasium.Env):
 
     # -- observation -----------------------------------------------------------------------------
 
-    def render(self) -> np.ndarray:
-        """The current picture (H, W, 3) uint8."""
-        if self._renderer is None:
+    def render(self, size: int | None = None) -> np.ndarray:
+        """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
+        size = size or self._image_size or DEFAULT_SIZE
+        if size not in self._renderers:
             from acgd.tasks.cameras import CAMERAS
             from acgd.tasks.rendering import Renderer
 
-            self._renderer = Renderer(self.model, camera=CAMERAS[self.task.kind], size=self.config.image_size)
-        return self._renderer.render(self.data)
+            self._renderers[size] = Renderer(self.model, camera=CAMERAS[self.task.kind], size=size)
+        return self._renderers[size].render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:
         obs = self._observe_state()
-        if self._image:
+        if self._image_size is not None:
             obs["image"] = self.render()
         return obs
 

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from acgd.tasks import starts
-from acgd.tasks.observation import layout, space
+from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
@@ -48,7 +48,7 @@ FAR = 100.0
 class MyoDexTask(gymnasium.Env):
     """A MyoDex task.
 
-    Observations: `image` (H, W, 3) uint8 (absent with `image=False`); `proprio` (85,) float32: hand joint
+    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` (85,) float32: hand joint
     positions (rad), velocities times the control step (rad), muscle activations; `state` (S,) float32:
     proprio and everything about object and goal, named by `state_layout`.
 
@@ -62,7 +62,7 @@ class MyoDexTask(gymnasium.Env):
         spec: TaskSpec,
         config: TaskConfig,
         *,
-        image: bool = True,
+        image_size: int | None = 84,
         reward_weights: dict[str, float] | None = None,
     ) -> None:
         self.task, self.config = spec, config
@@ -87,8 +87,8 @@ class MyoDexTask(gymnasium.Env):
             self.base.nominal_goal = self.base.target_jnt_value.copy()
         self._nominal_fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[spec.kind]}
 
-        self._renderer = None
-        self._image = image
+        self._renderers = {}
+        self._image_size = image_size
         if spec.name != "myo/obj-hold-hard":  # which refreshes geoms from the spec at every reset
             self.base._mj_spec = None  # 40 to 70 MB an environment
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
@@ -96,7 +96,7 @@ class MyoDexTask(gymnasium.Env):
         entries = self._state_entries()
         self.state_layout = layout(entries)
         state = sum(value.size for value in entries.values())
-        self.observation_space = space(46 + self.model.na, state, config.image_size if image else None)
+        self.observation_space = space(46 + self.model.na, state, image_size)
 
     # -- episode ---------------------------------------------------------------------------------
 
@@ -165,21 +165,21 @@ class MyoDexTask(gymnasium.Env):
 
     # -- observation -----------------------------------------------------------------------------
 
-    def render(self) -> np.ndarray:
-        """The current picture (H, W, 3) uint8."""
-        if self._renderer is None:
+    def render(self, size: int | None = None) -> np.ndarray:
+        """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
+        size = size or self._image_size or DEFAULT_SIZE
+        if size not in self._renderers:
             from acgd.tasks.cameras import CAMERAS
             from acgd.tasks.rendering import Renderer
 
-            camera = CAMERAS[self.task.kind]
-            self._renderer = Renderer(self.model, camera=camera, size=self.config.image_size)
-        return self._renderer.render(self.data)
+            self._renderers[size] = Renderer(self.model, camera=CAMERAS[self.task.kind], size=size)
+        return self._renderers[size].render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:
         entries = self._state_entries()
         state = np.concatenate(list(entries.values())).astype(np.float32)
         obs = {"proprio": state[: 46 + self.model.na].copy(), "state": state}
-        if self._image:
+        if self._image_size is not None:
             obs["image"] = self.render()
         return obs
 

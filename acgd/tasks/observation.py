@@ -3,6 +3,9 @@
 import gymnasium
 import numpy as np
 
+DEFAULT_SIZE = 84
+"""Pixels a side of a picture of an environment whose observations have none."""
+
 
 def layout(entries: dict[str, np.ndarray]) -> dict[str, slice]:
     """Where each named entry lies in the state that they are joined to, in their order."""

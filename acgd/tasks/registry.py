@@ -4,11 +4,12 @@ from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
 
-def make(task: TaskConfig | str, *, image: bool = True, reward_weights: dict[str, float] | None = None):
+def make(task: TaskConfig | str, *, image_size: int | None = 84, reward_weights: dict[str, float] | None = None):
     """The Gymnasium environment of a task.
 
-    Without `image` nothing is rendered and the observation holds no image. `reward_weights` replaces
-    the named weights of the task's reward; the others stay.
+    `image_size` is the height and width of the observation's image in pixels. With None nothing is drawn and the
+    observation holds no image; `render` draws in either case. `reward_weights` replaces the named weights of the task's
+    reward; the others stay.
     """
     config = TaskConfig(name=task) if isinstance(task, str) else task
     spec = TASKS[config.name]
@@ -16,4 +17,4 @@ def make(task: TaskConfig | str, *, image: bool = True, reward_weights: dict[str
         from acgd.tasks.myodex import MyoDexTask as Task
     else:
         from acgd.tasks.dexterous import DexterousTask as Task
-    return Task(spec, config, image=image, reward_weights=reward_weights)
+    return Task(spec, config, image_size=image_size, reward_weights=reward_weights)

@@ -1,4 +1,4 @@
-"""Which task, from which starts, at which image size."""
+"""Which task, from which starts, and how large its pictures are."""
 
 import difflib
 from typing import Literal
@@ -10,14 +10,13 @@ from acgd.tasks.spec import TASKS
 
 
 class TaskConfig(Section):
-    """One task of a study. Everything that changes what a policy sees or where it starts."""
+    """One task of a study: all that decides what happens in an episode."""
 
     name: str = Field(description="Name of a task, such as myo/key-turn or myo/reach-hard.")
     start: Literal["perturbed", "nominal"] = Field(
         default="perturbed",
         description="perturbed: robot, object and goal drawn by seed (docs/tasks.md); nominal: the suite's own reset.",
     )
-    image_size: int = Field(default=84, ge=32, le=512, description="Height and width of the image in pixels.")
 
     @field_validator("name")
     @classmethod
@@ -26,3 +25,9 @@ class TaskConfig(Section):
             near = difflib.get_close_matches(name, TASKS, n=1, cutoff=0.0)
             raise ValueError(f"unknown task {name!r}; nearest is {near[0]!r}. Tasks: {', '.join(TASKS)}")
         return name
+
+
+class ImageConfig(Section):
+    """The image of an observation. Experts and critics see none."""
+
+    size: int = Field(84, ge=32, le=512, description="Height and width of the image in pixels.")

@@ -20,7 +20,7 @@ figure, axes = plt.subplots(2, len(ORDER), figsize=(2 * len(ORDER), 4.4))
 for (above, below), name in zip(axes.T, ORDER):
     above.imshow(registry.make(name).reset(seed=SEED)[0]["image"], interpolation="nearest")
     above.set_title(name, fontsize=9)
-    env = registry.make(TaskConfig(name=name, start="nominal"), image=False)
+    env = registry.make(TaskConfig(name=name, start="nominal"), image_size=None)
     follow(env, SOLUTIONS[name])
     below.imshow(env.render(), interpolation="nearest")
 for axis in axes.flat:

@@ -43,7 +43,7 @@ def search(
     task: str, settings: ControllerSettings, *, population: int = 16, episodes: int = 8, seed: int = 0
 ) -> Iterator[Generation]:
     """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same detours."""
-    env = registry.make(TaskConfig(name=task), image=False)
+    env = registry.make(TaskConfig(name=task), image_size=None)
     if env.task.kind != "pose":
         raise ValueError(f"{task} has no detour, only pose tasks have: choose one of them")
     evolution = cma.CMAEvolutionStrategy(_vector(), SPREAD, {"seed": seed + 1, "popsize": population, "verbose": -9})

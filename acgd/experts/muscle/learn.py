@@ -3,6 +3,8 @@
 In every round the present policy acts, with noise (in the first, the controller). The controller gives its action in each
 visited state, and the policy is fitted to all rounds so far. A round is one file, and its seeds depend on the round
 alone: a killed run goes on with the round it was in, and ends with the same bytes.
+
+It does not use simulate/roll.py: a round counts steps, not episodes, and episodes restart at once within it.
 """
 
 from pathlib import Path

@@ -4,6 +4,9 @@ For tasks on which PPO needs tens of millions of steps: LayerNorm critics, n-ste
 exploration noise that is held for a random number of steps, since muscles answer slowly. The run is cut
 into segments. Between two, episodes restart with seeds that depend on the step alone: a resumed run goes on
 exactly like an uninterrupted one.
+
+It does not use simulate/roll.py: a segment counts steps, episodes restart at once within it, and learning happens between
+steps.
 """
 
 from pathlib import Path
