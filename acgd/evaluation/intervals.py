@@ -8,7 +8,7 @@ from scipy.stats import binomtest, norm, t
 
 SEEDS_FOR_A_CLAIM = 5
 """Student seeds below which a report shows the interval of a difference and makes no claim. Student's t of three seeds
-takes 4.3 standard errors, of five 2.8; with three seeds a true difference of 0.1 is rarely seen (benchmarks/verdict.py)."""
+takes 4.3 standard errors, of five 2.8 (benchmarks/verdict.py has the power of both)."""
 
 
 @dataclass(frozen=True)
