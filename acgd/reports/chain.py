@@ -13,7 +13,8 @@ from acgd.reports.settings import ReportRequest
 CRITICS = [
     "task", "variants", "within_state_mean", "within_state_low", "within_state_high", "states", "candidates",
     "near_mean", "near_low", "near_high",
-    "rank_correlation_monte_carlo", "bellman_error", "gain_critic", "gain_simulator", "spread", "simulator_steps", "key",
+    "rank_correlation_monte_carlo", "bellman_error", "gain_critic", "gain_simulator", "spread",
+    "simulator_steps", "key",
 ]  # fmt: skip
 GATES = ["variant", "seed", "task", "gate", "gradient_ratio", "counts_as_none", "counts_from", "reliable_rank"]
 
@@ -32,7 +33,7 @@ def per_task(request: ReportRequest, stage: str, artifacts: Artifacts) -> list[t
 
 
 def labelled(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict[str, tuple[str, Artifact]]:
-    """Label -> (variants, artifact). The label is the task, with the variants where two of them have different artifacts."""
+    """Label -> (variants, artifact). The label is the task, with the variants where a task has several artifacts."""
     rows = per_task(request, stage, artifacts)
     tasks = [task for task, _, _ in rows]
     return {

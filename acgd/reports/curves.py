@@ -66,9 +66,7 @@ def logged(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str
     return {column: title for column, title in columns.items() if column in present}
 
 
-def backbone(
-    request: ReportRequest, artifacts: Artifacts
-) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
+def backbone(request: ReportRequest, artifacts: Artifacts) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
     """Runs of trained backbones and the columns to show: the loss, and per task the mean R^2 over its targets."""
     runs = by_variant(request, "backbone", artifacts)
     for frames in runs.values():

@@ -3,7 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 
-from acgd.reports import chain, curves, figures, success
+from acgd.reports import chain, curves, figures, numbers, success
 from acgd.reports.artifact import Artifacts
 from acgd.reports.evidence import Evidence
 from acgd.reports.settings import ReportRequest
@@ -42,11 +42,11 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
     candidates = chain.candidates(request, artifacts)
     if candidates:
         ranks = {label: chain.ranks(frame) for label, frame in candidates.items()}
-        reliable = figures.only(evidence.guidance["reliable_rank"])
+        reliable = numbers.common(evidence.guidance["reliable_rank"])
         drawn["critics"] = figures.within_state(ranks, evidence.critics, candidates, reliable)
     ratios = curves.ratios(request, artifacts)
     if ratios:
-        floor = figures.only(evidence.guidance["counts_from"])
+        floor = numbers.common(evidence.guidance["counts_from"])
         drawn["guidance"] = figures.ratios(ratios, request.tasks, variants, floor)
     return drawn
 

@@ -12,7 +12,7 @@ BUDGET = ["variant", "seed", "demonstration_steps", "on_policy_steps", "on_polic
 
 
 def cost(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """stages.csv: one row per artifact. wall_s and peak_rss_bytes are of the run that made it, maybe for another study."""
+    """stages.csv: one row per artifact. Times and memory are of the run that made it, maybe for another study."""
     rows = []
     for stage, made in artifacts.items():
         for place, artifact in enumerate(made):

@@ -12,7 +12,7 @@ class ReportConfig(Section):
 
     success: Literal["final", "held", "once"] = Field(
         "final",
-        description="Success rule of the headline, of the paired differences and of the controls. success.csv has all three.",
+        description="Success rule of the headline, the differences and the controls. success.csv has all three.",
     )
     baseline: str | None = Field(
         None,
@@ -31,7 +31,7 @@ class ReportEntry(Section):
     variant: str = Field(description="Name of the variant.")
     seed: int = Field(description="Student seed.")
     artifacts: dict[str, tuple[int, ...]] = Field(
-        description="Stage -> places in the report's inputs of that stage. A stage per task has one place per task of the study, "
+        description="Stage -> places in the report's inputs of that stage. A stage per task has one place per task, "
         "`evaluation` one per condition with the headline first, `student` one per round."
     )
 

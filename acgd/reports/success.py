@@ -104,7 +104,7 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
 
 
 def over_tasks(success: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """One row per variant: the mean of its tasks' rates and the t interval over student seeds. All tasks weigh the same.
+    """One row per variant: the mean of its tasks' rates and the t interval over student seeds. Tasks weigh the same.
 
     Columns variant, kind, rate, low, high, seeds; without a second seed low and high are NaN. The interval is at least
     as wide as the noise of the episodes.
