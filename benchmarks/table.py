@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-BENCHMARKS = ("rendering", "dexterous", "experts", "collecting", "student", "ranking", "evaluation", "study")
+BENCHMARKS = ("rendering", "dexterous", "experts", "collecting", "student", "ranking", "evaluation", "verdict", "study")
 """Modules with `run() -> list of rows`; a row is name, value, unit, ratio, target, met (None where nothing is asked)."""
 RESULT = Path("results/bench.json")
 FIELDS = ("value", "unit", "ratio", "target", "met")

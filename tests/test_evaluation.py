@@ -1,4 +1,4 @@
-"""Evaluation: intervals against known values, episodes that depend on nothing but their seed, controls, goals, clips."""
+"""Evaluation: episodes that depend on nothing but their seed, controls, goals, clips."""
 
 import filecmp
 import io
@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 import torch
 from imageio_ffmpeg import count_frames_and_secs, read_frames
-from scipy.stats import binomtest
 
 from acgd.evaluation.clips import film, filming, write_mp4
 from acgd.evaluation.controls import CONTROLS, controls, nearest, replay
 from acgd.evaluation.episodes import Episode, Label, expert_policy, padded, read, roll, run, seeds_of
 from acgd.evaluation.evaluate import StudentPolicy, evaluate, plan
 from acgd.evaluation.goals import demonstration_for, oracle_goals, training_goals
-from acgd.evaluation.intervals import mcnemar, over_seeds, paired_difference, wilson
 from acgd.evaluation.settings import Condition, ControlsConfig, ControlsRequest, EvaluationConfig, EvaluationRequest
 from acgd.evaluation.summary import success_rows
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import write_group
 from acgd.simulate.lockstep import Lockstep
+from acgd.simulate.proportion import wilson
 from acgd.simulate.seeds import SEEDS
 from acgd.store.stage import Context
 from acgd.students.codebook import Sizes
@@ -92,79 +91,6 @@ def artifacts(tmp_path_factory) -> dict[str, list[Path]]:
         found["rollouts"].append(place)
         found["experts"].append(place / "expert")
     return found
-
-
-# -- intervals -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n", [1, 5, 25, 200])
-def test_wilson_agrees_with_scipy(n):
-    for k in range(0, n + 1, max(1, n // 7)):
-        reference = binomtest(k, n).proportion_ci(0.95, method="wilson")
-        found = wilson(k, n)
-        assert (found.mean, found.low, found.high) == pytest.approx((k / n, reference.low, reference.high), abs=1e-12)
-
-
-def test_wilson_refuses_what_is_no_rate():
-    for k, n in ((0, 0), (3, 2), (-1, 4)):
-        with pytest.raises(ValueError, match="successes"):
-            wilson(k, n)
-
-
-def test_over_seeds_is_students_t():
-    found = over_seeds([0.68, 0.70, 0.72])
-    assert (found.mean, found.low, found.high) == pytest.approx(
-        (0.70, 0.70 - 4.302653 * 0.02 / 3**0.5, 0.70 + 4.302653 * 0.02 / 3**0.5), abs=1e-6
-    )
-    assert (over_seeds([0.4]).low, over_seeds([0.4]).high) == (0.0, 1.0)
-
-
-def test_mcnemar_is_the_sign_test():
-    assert mcnemar(10, 2) == pytest.approx(2 * (1 + 12 + 66) / 2**12)
-    assert mcnemar(3, 3) == mcnemar(0, 0) == 1.0
-
-
-def test_paired_difference_counts_and_bounds():
-    a = np.array([[1, 1, 0, 1], [1, 0, 0, 1]], bool)
-    b = np.array([[1, 0, 0, 0], [1, 0, 1, 0]], bool)
-    found = paired_difference([a], [b])
-    assert (found.wins, found.losses, found.episodes, found.mean) == (3, 1, 8, pytest.approx(0.25))
-    assert found.low < 0.25 < found.high
-    swapped = paired_difference([b], [a])
-    assert (swapped.mean, swapped.low, swapped.high) == pytest.approx((-found.mean, -found.high, -found.low), abs=1e-12)
-    same = paired_difference([a], [a])
-    assert (same.mean, same.low, same.high, same.p_value) == (0, 0, 0, 1)
-
-
-def test_paired_difference_gains_from_pairing_and_pays_for_student_seeds():
-    rng = np.random.default_rng(0)
-    start = rng.random((1, 40)) < 0.5  # what is hard depends on the start, the same for both variants
-    a, b = np.repeat(start, 4, axis=0), np.repeat(start, 4, axis=0)
-    b[:, np.flatnonzero(start[0])[:4]] = False
-    paired, unpaired = paired_difference([a], [b]), paired_difference([a], [np.roll(b, 7, axis=1)])
-    assert paired.high - paired.low < 0.6 * (unpaired.high - unpaired.low)
-    between = np.zeros((4, 40), bool)
-    between[0] = True  # the same share of wins as below, but all of them one student's
-    within = np.tile(np.arange(40) % 4 == 0, (4, 1))
-    none = np.zeros((4, 40), bool)
-    wide, narrow = paired_difference([between], [none]), paired_difference([within], [none])
-    assert wide.mean == narrow.mean and wide.high - wide.low > 1.5 * (narrow.high - narrow.low)
-
-
-def test_paired_difference_covers_the_truth():
-    """Students differ in skill by 10 points, starts in difficulty; the true difference is 0.1."""
-    rng, hits = np.random.default_rng(1), 0
-    for trial in range(200):
-        easy, skill = rng.uniform(0.3, 0.6, (1, 25)), rng.normal(0, 0.1, (8, 1))
-        a, b = (rng.random((8, 25)) < easy + gain + skill for gain in (0.1, 0.0))
-        found = paired_difference([a], [b], seed=trial, resamples=300)
-        hits += found.low <= 0.1 <= found.high
-    assert 180 <= hits <= 200
-
-
-def test_paired_difference_refuses_what_does_not_pair():
-    with pytest.raises(ValueError, match="student seeds, episodes"):
-        paired_difference([np.zeros((2, 5), bool)], [np.zeros((2, 4), bool)])
 
 
 # -- episodes ------------------------------------------------------------------------------------

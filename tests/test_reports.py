@@ -1,5 +1,6 @@
-"""The report: a row per variant, seed, task and rule; sentences that follow the numbers; one file that needs nothing else."""
+"""The report: a row per variant, seed, task and rule; sentences that follow the numbers; one page without links."""
 
+import json
 import math
 import re
 from pathlib import Path
@@ -10,14 +11,13 @@ import pandas as pd
 import pytest
 from study_artifacts import TASKS, study
 
-from acgd.evaluation.intervals import wilson
 from acgd.reports import numbers
-from acgd.reports.artifact import Artifact
+from acgd.reports.artifact import load
 from acgd.reports.evidence import Evidence
-from acgd.reports.ledger import STAGES
 from acgd.reports.page import render
 from acgd.reports.report import report as stage
 from acgd.reports.settings import ReportConfig
+from acgd.simulate.proportion import wilson
 from acgd.tracking.metrics import Metrics
 
 GUIDED = {"acgd": [0.88, 0.72, 0.8], "no-guidance": [0.84, 0.72, 0.8]}
@@ -33,7 +33,7 @@ def report(request, inputs, out: Path) -> tuple[Path, str]:
 
 def said(request, inputs) -> str:
     """The words of the page alone: drawing takes longer than all the rest."""
-    artifacts = {name: [Artifact(path) for path in inputs.get(name, [])] for name in STAGES}
+    artifacts = load(inputs)
     return words(render(request, Evidence.of(request, artifacts), {}, [], artifacts))
 
 
@@ -65,7 +65,7 @@ def test_conditions_that_a_student_without_goal_cannot_tell_apart_count_once(tmp
     request, inputs = study(tmp_path, {"acgd": [0.6]}, seeds=(0,), shuffled=None)
     episodes = inputs["evaluation"][0] / "episodes.jsonl"
     episodes.write_text(2 * episodes.read_text())
-    evidence = Evidence.of(request, {name: [Artifact(path) for path in inputs.get(name, [])] for name in STAGES})
+    evidence = Evidence.of(request, load(inputs))
     assert evidence.success.query("kind == 'student'")["episodes"].tolist() == [25, 25, 25]
 
 
@@ -88,7 +88,8 @@ def test_paired_differences_are_those_of_the_episodes(made) -> None:
     assert table.loc["myo/key-turn", "mean"] == pytest.approx(0.04)
     assert (table.loc["myo/key-turn", ["wins", "losses", "pairs"]] == [3, 0, 75]).all()
     assert table.loc["all tasks", "mean"] == pytest.approx(0.04 / 3, abs=1e-6)
-    assert table.loc["myo/reach", ["mean", "low", "high"]].tolist() == [0, 0, 0]
+    nothing = table.loc["myo/reach"]
+    assert nothing["mean"] == 0 and nothing["high"] == -nothing["low"] > 0
 
 
 def test_the_page_is_one_file_that_asks_for_nothing(made) -> None:
@@ -136,25 +137,83 @@ def test_the_same_artifacts_give_the_same_bytes(made, tmp_path: Path) -> None:
     [(0.6, "Guidance is not shown to help"), (0.96, "Guidance helped"), (0.2, "Guidance hurt")],
 )
 def test_the_headline_follows_the_interval(tmp_path: Path, acgd: float, verdict: str) -> None:
-    text = said(*study(tmp_path, {"acgd": [acgd] * 2, "no-guidance": [0.6] * 2}))
-    assert verdict in text
+    text = said(*study(tmp_path, {"acgd": [acgd] * 2, "no-guidance": [0.6] * 2}, seeds=(0, 1, 2, 3, 4)))
+    assert verdict in text and "carry an interval" not in text
     assert ("an interval that covers zero" in text) == (verdict == "Guidance is not shown to help")
     assert f"acgd {acgd:.2f}, no-guidance 0.60" in text
 
 
+def test_fewer_than_five_student_seeds_carry_an_interval_and_no_claim(tmp_path: Path) -> None:
+    text = said(*study(tmp_path, {"acgd": [0.96] * 2, "no-guidance": [0.2] * 2}, seeds=(0, 1, 2)))
+    assert "Three student seeds do not tell whether guidance helps: acgd 0.96, no-guidance 0.20" in text
+    assert "Three student seeds carry an interval and no claim; a claim needs five student seeds." in text
+    assert "Guidance helped" not in text and "Task by task" not in text
+
+
 def test_variants_that_do_not_differ_in_guidance_are_not_judged_by_it(tmp_path: Path) -> None:
-    text = said(*study(tmp_path, {"small": [0.2] * 2, "large": [0.8] * 2}, guided=()))
+    text = said(*study(tmp_path, {"small": [0.2] * 2, "large": [0.8] * 2}, guided=(), seeds=(0, 1, 2, 3, 4)))
     assert "large did better than small: large 0.80, small 0.20" in text and "Guidance" not in text
+    assert "By chance, one of twenty such intervals does; here are 2." in text
 
 
 def test_one_student_seed_is_called_one(tmp_path: Path) -> None:
-    text = said(*study(tmp_path, {"acgd": [0.6] * 2, "no-guidance": [0.6] * 2}, seeds=(7,)))
-    assert "It is of one student seed, and says nothing of the next." in text
+    text = said(*study(tmp_path, {"acgd": [0.9] * 2, "no-guidance": [0.3] * 2}, seeds=(7,)))
+    assert "The interval is of the episodes only; nothing is known of the next student seed." in text
+    assert "One student seed does not tell whether guidance helps" in text
 
 
 def test_a_task_that_replay_solves_is_named(tmp_path: Path) -> None:
     text = said(*study(tmp_path, {"acgd": [0.36, 0.9], "no-guidance": [0.36, 0.9]}))
     assert "as well as the best student on myo/key-turn (nearest-start replay 0.40, best student 0.36): there" in text
+    assert "reads nothing after the start" in text and "blind" not in text and "never looks" not in text
+
+
+def test_the_lines_of_gate_and_floor_are_those_of_the_students(tmp_path: Path) -> None:
+    rates = {"acgd": [0.6], "no-guidance": [0.6]}
+    with_gate = said(*study(tmp_path / "with", rates, reliable_rank=0.35))
+    assert "A ratio below 1% counts as no guidance." in with_gate
+    request, inputs = study(tmp_path / "drawn", rates, reliable_rank=0.35)
+    assert "Dashed: 0.35, which the reliable gate asks" in words(report(request, inputs, tmp_path / "out")[1])
+    request, inputs = study(tmp_path / "without", rates)
+    assert "reliable gate" not in words(report(request, inputs, tmp_path / "out2")[1])
+
+
+def test_stages_come_in_the_order_of_the_chain(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [0.6], "no-guidance": [0.6]}, rounds=1, clips=True)
+    stages = list(load(inputs))
+    assert list(inputs) == sorted(stages)
+    chain = ["expert", "rollouts", "backbone", "features", "student", "onpolicy"]
+    assert [stage for stage in stages if stage in chain] == chain
+    assert stages.index("critic") < stages.index("quality") and stages.index("evaluation") < stages.index("clips")
+
+
+def test_the_budget_of_a_variant_counts_its_rounds_and_its_own_chain(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path / "store", {"acgd": [0.6, 0.6], "no-guidance": [0.6, 0.6]}, rounds=2)
+    artifacts = load(inputs)
+    evidence = Evidence.of(request, artifacts)
+    budget = evidence.budget.set_index(["variant", "seed"])
+    assert (budget["demonstration_steps"] == 600).all()
+    assert (budget["on_policy_steps"] == 2 * 2 * 500).all() and (budget["on_policy_queries"] == 2 * 2 * 400).all()
+    stages = {stage: [artifact.run["cpu_s"] for artifact in made] for stage, made in artifacts.items()}
+    upstream = ("expert", "rollouts", "backbone", "features")
+    shared = sum(sum(stages[stage]) for stage in upstream) + stages["codebook"][0]
+    students, rounds = sum(stages["student"][:3]), sum(stages["onpolicy"][:4])
+    assert budget.loc[("acgd", 0), "cpu_s"] == pytest.approx(shared + sum(stages["critic"]) + students + rounds)
+    assert "What it cost" in said(request, inputs) and "expert queries, on-policy" in said(request, inputs)
+    assert set(evidence.stages.query("stage == 'onpolicy' and variants == 'acgd'")["name"].head(2)) == {
+        "myo/key-turn, seed 0, round 1",
+        "myo/obj-hold, seed 0, round 1",
+    }
+
+
+def test_a_comparison_that_mixes_precisions_says_so(tmp_path: Path) -> None:
+    request, inputs = study(tmp_path, {"acgd": [0.6], "no-guidance": [0.6]})
+    assert "mixes precisions" not in said(request, inputs)
+    run = inputs["student"][0] / "run.json"
+    run.write_text(json.dumps(json.loads(run.read_text()) | {"precision_used": "float32"}))
+    text = said(request, inputs)
+    assert "The study mixes precisions: of artifacts that ask for bfloat16, student (1 of 6 in float32)" in text
+    assert "float32 for want of bfloat16" in text
 
 
 @pytest.mark.parametrize(
@@ -165,10 +224,8 @@ def test_it_says_whether_the_study_is_visual(tmp_path: Path, kept: float | None,
 
 
 def test_faint_guidance_is_called_none(made) -> None:
-    assert (
-        "the critics’ gradient stayed below 1% of imitation’s for myo/reach (acgd, 3 students), which counts as no guidance"
-        in words(made[1])
-    )
+    faint = "the critics’ gradient stayed below 1% of imitation’s for myo/reach (acgd, 3 students)"
+    assert f"{faint}, which counts as no guidance" in words(made[1])
 
 
 def test_numbers_carry_their_interval_and_counts(made) -> None:

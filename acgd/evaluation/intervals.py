@@ -1,10 +1,14 @@
-"""How sure a success rate, or a difference of two, is: pure functions of arrays of outcomes."""
+"""Intervals for success over training seeds, and for the difference of two variants: pure functions of outcomes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import binomtest, norm, t
+
+SEEDS_FOR_A_CLAIM = 5
+"""Student seeds below which a report shows the interval of a difference and makes no claim. Student's t of three seeds
+takes 4.3 standard errors, of five 2.8 (benchmarks/verdict.py has the power of both)."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Difference:
     wins: int
     """Episodes that only the first variant solved."""
     losses: int
-    """Episodes that only the second solved."""
+    """Episodes that only the second variant solved."""
     episodes: int
     """Pairs compared, over all student seeds."""
     p_value: float
@@ -34,25 +38,10 @@ class Difference:
     nothing of students trained from other seeds; the interval does."""
 
 
-def wilson(successes: int, episodes: int, confidence: float = 0.95) -> Interval:
-    """Wilson's score interval of a success rate; inside [0, 1] and honest at 0 and at all successes."""
-    if not 0 <= successes <= episodes or episodes < 1:
-        raise ValueError(
-            f"{successes} successes of {episodes} episodes: need 0 <= successes <= episodes and at least one episode"
-        )
-    z = float(norm.ppf(0.5 + confidence / 2))
-    rate, shrink = successes / episodes, 1 + z * z / episodes
-    centre = (rate + z * z / (2 * episodes)) / shrink
-    half = z / shrink * np.sqrt(rate * (1 - rate) / episodes + z * z / (4 * episodes * episodes))
-    return Interval(
-        rate, 0.0 if successes == 0 else float(centre - half), 1.0 if successes == episodes else float(centre + half)
-    )
+def over_seeds(rates: Sequence[float], least: float = 0.0, confidence: float = 0.95) -> Interval:
+    """Student's t interval of a mean over training seeds, cut to [0, 1]. One seed tells nothing of the next: [0, 1].
 
-
-def over_seeds(rates: Sequence[float], confidence: float = 0.95) -> Interval:
-    """Student's t interval of a mean over training seeds, cut to [0, 1]; of one seed alone nothing is known: [0, 1].
-
-    Rates that agree to the last digit give an interval of no width: read it beside the Wilson interval of the episodes.
+    least: half width that the interval has at least, which is that of the episodes (`episode_noise`).
     """
     values = np.asarray(rates, dtype=np.float64)
     if values.size == 0:
@@ -61,7 +50,18 @@ def over_seeds(rates: Sequence[float], confidence: float = 0.95) -> Interval:
     if values.size == 1:
         return Interval(mean, 0.0, 1.0)
     half = float(t.ppf(0.5 + confidence / 2, values.size - 1) * values.std(ddof=1) / np.sqrt(values.size))
+    half = max(half, least)
     return Interval(mean, max(0.0, mean - half), min(1.0, mean + half))
+
+
+def episode_noise(successes: Sequence[int], episodes: Sequence[int], confidence: float = 0.95) -> float:
+    """Half width of the mean over tasks of success rates, from the noise of episodes alone. One count per task.
+
+    Agresti and Coull's interval: two successes and two failures are added to each task, so that it is never zero.
+    """
+    n = np.asarray(episodes, dtype=np.float64) + 4
+    rate = (np.asarray(successes, dtype=np.float64) + 2) / n
+    return float(norm.ppf(0.5 + confidence / 2) * np.sqrt((rate * (1 - rate) / n).sum()) / len(n))
 
 
 def mcnemar(wins: int, losses: int) -> float:
@@ -70,42 +70,84 @@ def mcnemar(wins: int, losses: int) -> float:
 
 
 def paired_difference(
-    first: Sequence[np.ndarray],
-    second: Sequence[np.ndarray],
-    seed: int = 0,
-    resamples: int = 5000,
-    confidence: float = 0.95,
+    first: Sequence[np.ndarray], second: Sequence[np.ndarray], confidence: float = 0.95
 ) -> Difference:
-    """Mean over tasks of the difference in success, with a hierarchical bootstrap interval.
+    """Mean over tasks of the difference in success, with an interval for other student seeds and other starts.
 
-    first, second: one bool array (S, E) per task, student seeds by episodes, row i of both trained from the same seed and
-    column j of both started from the same episode seed. Student seeds are resampled once for all tasks, since one student
-    does all of them; episodes within each task, the same for all students, since all see the same starts. With one student
-    seed the interval covers the episodes only.
+    first, second: one bool array (S, E) per task, student seeds by episodes. Row i of both has the same student seed,
+    column j of both the same episode seed. With one student seed the interval covers the episodes only.
     """
     differences = []
     for a, b in zip(first, second, strict=True):
         if np.shape(a) != np.shape(b) or np.ndim(a) != 2 or np.size(a) == 0:
             raise ValueError(
-                f"outcomes of shapes {np.shape(a)} and {np.shape(b)}: need (student seeds, episodes), the same in both variants"
+                f"outcomes of shapes {np.shape(a)} and {np.shape(b)}: "
+                "need (student seeds, episodes), the same in both variants"
             )
         differences.append(np.asarray(a, dtype=np.int64) - np.asarray(b, dtype=np.int64))
     if len({d.shape[0] for d in differences}) != 1:
         raise ValueError("need at least one task, and the same student seeds in all of them")
-    rng = np.random.default_rng(seed)
-    students = _weights(differences[0].shape[0], resamples, rng)
-    draws = np.zeros(resamples)
-    for d in differences:
-        draws += np.einsum("rs,se,re->r", students, d, _weights(d.shape[1], resamples, rng), optimize=True)
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(draws / len(differences), [tail, 1 - tail])
     wins, losses = (int(sum((d == sign).sum() for d in differences)) for sign in (1, -1))
-    mean = float(np.mean([d.mean() for d in differences]))
+    mean, half = float(np.mean([d.mean() for d in differences])), float(half_width(differences, confidence))
     return Difference(
-        mean, float(low), float(high), wins, losses, sum(d.size for d in differences), mcnemar(wins, losses)
+        mean,
+        max(-1.0, mean - half),
+        min(1.0, mean + half),
+        wins,
+        losses,
+        sum(d.size for d in differences),
+        mcnemar(wins, losses),
     )
 
 
-def _weights(n: int, resamples: int, rng: np.random.Generator) -> np.ndarray:
-    """(resamples, n): the share that each of n items has in a sample of n drawn with replacement."""
-    return rng.multinomial(n, np.full(n, 1 / n), size=resamples) / n
+def half_width(differences: Sequence[np.ndarray], confidence: float = 0.95) -> np.ndarray:
+    """Half width of the interval of the mean over tasks. differences: one array (..., S, E) of -1, 0, 1 per task.
+
+    Students and starts are crossed random factors. The variance over students, of their means over all tasks, holds the
+    noise of episodes as well; the variance over starts adds what it has beyond that noise. Each takes the quantile of
+    Student's t with its own degrees of freedom. A floor takes all S E pairs of a task as independent and adds half a
+    count to wins and to losses (Agresti and Min 2005), so that the width is never zero.
+    """
+    tasks, (students, _) = len(differences), differences[0].shape[-2:]
+    by_student = np.mean([d.mean(axis=-1) for d in differences], axis=0)  # (..., S)
+    of_students = by_student.var(axis=-1, ddof=1) / students if students > 1 else np.zeros(by_student.shape[:-1])
+    of_starts, floor = 0.0, 0.0
+    for d in differences:
+        of_starts = of_starts + _beyond_noise(d)
+        floor = floor + _floor(d)
+    tail, starts = 0.5 + confidence / 2, min(d.shape[-1] for d in differences)
+    spread = _quantile(tail, students) ** 2 * of_students
+    spread = spread + _quantile(tail, starts) ** 2 * np.maximum(of_starts, 0) / tasks**2
+    return np.sqrt(np.maximum(spread, norm.ppf(tail) ** 2 * floor / tasks**2))
+
+
+def _beyond_noise(d: np.ndarray) -> np.ndarray:
+    """Variance (...) of a task's mean difference over starts, less the noise of episodes, which needs two students.
+
+    d: (..., S, E). Negative by chance. One start tells nothing: 0.
+    """
+    students, starts = d.shape[-2:]
+    if starts == 1:
+        return np.zeros(d.shape[:-2])
+    by_start = d.mean(axis=-2, dtype=np.float64)  # (..., E)
+    variance = by_start.var(axis=-1, ddof=1) / starts
+    if students == 1:
+        return variance
+    by_student = d.mean(axis=-1, dtype=np.float64)  # (..., S)
+    mean = by_student.mean(axis=-1)
+    squares = np.square(d, dtype=np.float64).sum(axis=(-2, -1)) + students * starts * mean**2
+    squares -= starts * np.square(by_student).sum(axis=-1) + students * np.square(by_start).sum(axis=-1)
+    noise = squares / ((students - 1) * (starts - 1))
+    return variance - noise / (students * starts)
+
+
+def _floor(d: np.ndarray) -> np.ndarray:
+    """Variance (...) of a task's mean difference if all of its pairs were independent; d: (..., S, E). Never zero."""
+    pairs = d.shape[-2] * d.shape[-1] + 2
+    wins, losses = ((d == sign).sum(axis=(-2, -1)) + 0.5 for sign in (1, -1))
+    return (wins + losses - (wins - losses) ** 2 / pairs) / pairs**2
+
+
+def _quantile(tail: float, count: int) -> float:
+    """Of Student's t, for a variance over so many values; one value has no variance, and its quantile is not used."""
+    return float(t.ppf(tail, max(count - 1, 1)))

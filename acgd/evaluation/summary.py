@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from acgd.evaluation.episodes import Episode, Label
-from acgd.evaluation.intervals import wilson
+from acgd.simulate.proportion import wilson
 
 RULES = ("final", "held", "once")
 """Solved at the last step (the headline, as in the paper), for more than five steps, in any step."""
@@ -29,7 +29,7 @@ def success_rows(episodes: Sequence[Episode]) -> list[dict]:
             successes = sum(getattr(e, rule) for e in group)
             rate = wilson(successes, len(group))
             counts = {"rule": rule, "episodes": len(group), "successes": successes}
-            rows.append(asdict(label) | counts | {"rate": rate.mean, "low": rate.low, "high": rate.high} | means)
+            rows.append(asdict(label) | counts | {"rate": rate.rate, "low": rate.low, "high": rate.high} | means)
     return rows
 
 

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from acgd.reports.artifact import Artifact
-from acgd.reports.settings import ReportRequest
+from acgd.reports.artifact import Artifacts
+from acgd.reports.ledger import used
+from acgd.reports.settings import ReportEntry, ReportRequest
 
 STUDENT = {
     "validation_loss": "validation L_BC",
@@ -30,30 +31,42 @@ CRITIC = {
 }
 
 
-def by_variant(request: ReportRequest, stage: str, artifacts: Sequence[Artifact]) -> dict[str, list[pd.DataFrame]]:
-    """Variant -> one frame per artifact of the stage that it is the first to use; its student seeds stand side by side."""
-    seen: set[int] = set()
+def by_variant(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict[str, list[pd.DataFrame]]:
+    """Variant -> one frame per student seed, with the rounds of a stage one after the other.
+
+    Of variants that share an artifact the first one has its curves.
+    """
+    seen: set[tuple[int, ...]] = set()
     runs: dict[str, list[pd.DataFrame]] = {}
     for entry in request.entries:
-        place = getattr(entry, stage)
-        if place is None or place in seen:
+        places = entry.places(stage)
+        if not places or places in seen:
             continue
-        seen.add(place)
-        frame = artifacts[place].curves()
+        seen.add(places)
+        frame = joined(entry, stage, artifacts)
         if len(frame):
             runs.setdefault(entry.variant, []).append(frame)
     return runs
 
 
+def joined(entry: ReportEntry, stage: str, artifacts: Artifacts) -> pd.DataFrame:
+    """Curves of an entry's artifacts of one stage; the steps of a later round go on from those of the round before."""
+    frames, done = [], 0
+    for artifact in used(entry, stage, artifacts):
+        frame = artifact.curves()
+        if len(frame):
+            frames.append(frame.assign(step=frame["step"] + done))
+            done = int(frames[-1]["step"].max())
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
+
+
 def logged(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str]) -> dict[str, str]:
     """Those of the columns that some run has logged."""
-    found = {column for frames in runs.values() for frame in frames for column in frame}
-    return {column: title for column, title in columns.items() if column in found}
+    present = {column for frames in runs.values() for frame in frames for column in frame}
+    return {column: title for column, title in columns.items() if column in present}
 
 
-def backbone(
-    request: ReportRequest, artifacts: Sequence[Artifact]
-) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
+def backbone(request: ReportRequest, artifacts: Artifacts) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
     """Runs of trained backbones and the columns to show: the loss, and per task the mean R^2 over its targets."""
     runs = by_variant(request, "backbone", artifacts)
     for frames in runs.values():
@@ -65,11 +78,11 @@ def backbone(
     return runs, logged(runs, {"loss": "training loss", **{task: f"R², {task}" for task in request.tasks}})
 
 
-def ratios(request: ReportRequest, students: Sequence[Artifact]) -> dict[tuple[str, str], list[pd.DataFrame]]:
+def ratios(request: ReportRequest, artifacts: Artifacts) -> dict[tuple[str, str], list[pd.DataFrame]]:
     """(variant, task) -> per student the gradient-norm ratio of guidance to imitation: step, ratio."""
     curves: dict[tuple[str, str], list[pd.DataFrame]] = {}
     for entry in request.entries:
-        frame = students[entry.student].curves()
+        frame = joined(entry, "student", artifacts)
         for task in request.tasks:
             column = f"guidance_ratio/{task}"
             if column in frame:

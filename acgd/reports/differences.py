@@ -31,7 +31,10 @@ def paired(episodes: pd.DataFrame, baseline: str, tasks: Sequence[str]) -> pd.Da
 
 
 def without_image(episodes: pd.DataFrame, rule: str, tasks: Sequence[str]) -> pd.DataFrame:
-    """Own images minus another episode's, per variant and task: variant, task, own, shuffled, mean (the drop), low, high, ..."""
+    """Success with the episode's images minus success with another episode's, per variant and task.
+
+    Columns variant, task, own, shuffled (the two rates), mean (their difference), low, high, and those of `paired`.
+    """
     rows = []
     shuffled = episodes[(episodes["kind"] == "control") & (episodes["image_features"] == "shuffled")]
     for variant, apart in shuffled.groupby("parent", sort=False):
@@ -45,7 +48,7 @@ def without_image(episodes: pd.DataFrame, rule: str, tasks: Sequence[str]) -> pd
 
 
 def _compare(episodes: pd.DataFrame, first: str, second: str, rule: str, tasks: Sequence[str]) -> list[tuple]:
-    """(task, figures...) of first minus second, for each task that both did and, if it is more than one, for all of them."""
+    """(task, figures...) of first minus second, for each task that both have and, of several, for all of them."""
     by_task = {}
     for task in tasks:
         a, b = (
@@ -68,7 +71,7 @@ def _compare(episodes: pd.DataFrame, first: str, second: str, rule: str, tasks: 
 
 
 def _grid(episodes: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """(student seeds, starts) of bool; an episode that some student of the variant lacks is left out for all of them."""
+    """(student seeds, starts) of bool. An episode that a student of the variant lacks is left out for all students."""
     grid = episodes.pivot_table(index="seed", columns=["start", "episode"], values=rule, aggfunc="first", sort=True)
     return grid.dropna(axis=1).astype(bool)
 

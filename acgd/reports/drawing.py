@@ -1,20 +1,13 @@
 """Which figures a study gets: one for each kind of evidence that it has."""
 
-from collections.abc import Sequence
-
 import pandas as pd
 from matplotlib.figure import Figure
 
-from acgd.reports import chain, curves, figures, success
-from acgd.reports.artifact import Artifact
-from acgd.reports.evidence import Artifacts, Evidence
+from acgd.reports import chain, curves, figures, numbers, success
+from acgd.reports.artifact import Artifacts
+from acgd.reports.evidence import Evidence
 from acgd.reports.settings import ReportRequest
 from acgd.reports.style import applied, svg
-
-GATE = 0.2
-"""The rank correlation that the `reliable` gate asks for, as a line to read the critics by (StudentConfig.reliable_rank)."""
-COUNTS = 0.01
-"""Ratio of gradient norms below which guidance counts as none, as the student stage has it."""
 
 
 def draw(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> dict[str, str]:
@@ -24,7 +17,7 @@ def draw(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> di
 
 
 def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> dict[str, Figure]:
-    variants, rule, drawn = list(dict.fromkeys(entry.variant for entry in request.entries)), request.report.success, {}
+    variants, rule, drawn = request.variants(), request.report.success, {}
     if len(evidence.success):
         drawn["success"] = figures.success(success.pooled(evidence.success, rule), request.tasks, variants)
     if len(evidence.paired):
@@ -33,32 +26,32 @@ def _figures(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -
         ("curves", "student", curves.STUDENT),
         ("codebook-curves", "codebook", curves.CODEBOOK),
     ):
-        runs = curves.by_variant(request, stage, artifacts[stage])
+        runs = curves.by_variant(request, stage, artifacts)
         if curves.logged(runs, columns):
             drawn[name] = figures.curves(runs, curves.logged(runs, columns), variants)
-    runs, chosen = curves.backbone(request, artifacts["backbone"])
-    if chosen:
-        drawn["backbone-curves"] = figures.curves(runs, chosen, variants)
-    found = chain.used(request, "critic", artifacts["critic"])
-    fits = {label: [artifact.curves()] for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)}
+    runs, columns = curves.backbone(request, artifacts)
+    if columns:
+        drawn["backbone-curves"] = figures.curves(runs, columns, variants)
+    critics = chain.labelled(request, "critic", artifacts)
+    fits = {label: [artifact.curves()] for label, (_, artifact) in critics.items()}
     if curves.logged(fits, curves.CRITIC):
         drawn["critic-curves"] = figures.curves(fits, curves.logged(fits, curves.CRITIC), list(fits))
-    experts = _expert_curves(request, artifacts["expert"])
+    experts = _expert_curves(request, artifacts)
     if experts:
         drawn["experts"] = figures.expert_curves(experts, rule)
-    candidates = chain.candidates(request, artifacts["critic"])
+    candidates = chain.candidates(request, artifacts)
     if candidates:
         ranks = {label: chain.ranks(frame) for label, frame in candidates.items()}
-        drawn["critics"] = figures.within_state(ranks, evidence.critics, candidates, GATE)
-    ratios = curves.ratios(request, artifacts["student"])
+        reliable = numbers.common(evidence.guidance["reliable_rank"])
+        drawn["critics"] = figures.within_state(ranks, evidence.critics, candidates, reliable)
+    ratios = curves.ratios(request, artifacts)
     if ratios:
-        drawn["guidance"] = figures.ratios(ratios, request.tasks, variants, COUNTS)
+        floor = numbers.common(evidence.guidance["counts_from"])
+        drawn["guidance"] = figures.ratios(ratios, request.tasks, variants, floor)
     return drawn
 
 
-def _expert_curves(request: ReportRequest, artifacts: Sequence[Artifact]) -> dict[str, pd.DataFrame]:
-    found = chain.used(request, "expert", artifacts)
-    frames = {
-        label: artifact.csv("curve.csv") for (_, _, artifact), label in zip(found, chain.labels(found), strict=True)
-    }
+def _expert_curves(request: ReportRequest, artifacts: Artifacts) -> dict[str, pd.DataFrame]:
+    cards = chain.labelled(request, "card", artifacts)
+    frames = {label: artifact.csv("curve.csv") for label, (_, artifact) in cards.items()}
     return {label: frame for label, frame in frames.items() if len(frame) and request.report.success in frame}

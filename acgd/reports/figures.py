@@ -107,11 +107,11 @@ def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
 
 
 def within_state(
-    ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float
+    ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float | None
 ) -> Figure:
     """Above, how well Q ranks actions within one state, over states; below, Q against the simulated return.
 
-    candidates: per task columns q and return, standardised within each state.
+    candidates: per task columns q and return, standardised within each state. gate: a line at this correlation.
     """
     tasks = list(ranks)
     bands, across = _grid(len(tasks), 4, least=2)
@@ -123,7 +123,8 @@ def within_state(
         row = quality[quality["task"] == task].iloc[0]
         above.axvspan(row["within_state_low"], row["within_state_high"], color=PALETTE[1], alpha=0.3, linewidth=0)
         above.axvline(row["within_state_mean"], color=PALETTE[1], linewidth=1.6)
-        above.axvline(gate, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
+        if gate is not None:
+            above.axvline(gate, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
         above.set_title(f"{task}   {row['within_state_mean']:.2f}")
         above.set_xlim(-1, 1)
         above.set_xticks([-1, -0.5, 0, 0.5, 1], ["−1", "−0.5", "0", "0.5", "1"])
@@ -144,21 +145,25 @@ def ratios(
     curves: Mapping[tuple[str, str], Sequence[pd.DataFrame]],
     tasks: Sequence[str],
     variants: Sequence[str],
-    floor: float,
+    floor: float | None,
 ) -> Figure:
-    """Gradient norm of L_distill over that of L_BC through training, (variant, task) -> one frame (step, ratio) per student seed."""
+    """Gradient norm of L_distill over that of L_BC through training, a line per student seed.
+
+    curves: (variant, task) -> one frame (step, ratio) per student seed. floor: a line at this ratio.
+    """
     rows, across = _grid(len(tasks), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3, sharey=True)
     colour = colours(variants)
-    found = np.concatenate([frame["ratio"].to_numpy() for frames in curves.values() for frame in frames])
-    found = found[found > 0]
-    limits = (0.5 * min([*found, floor]), 2 * max([*found, 1.0]))
+    values = np.concatenate([frame["ratio"].to_numpy() for frames in curves.values() for frame in frames])
+    values = values[values > 0]
+    limits = (0.5 * min([*values, 0.1 if floor is None else floor]), 2 * max([*values, 1.0]))
     for axis, task in _pair(axes, tasks):
         for (variant, of), frames in curves.items():
             for frame in frames if of == task else ():
                 positive = frame[frame["ratio"] > 0]
                 axis.plot(positive["step"], positive["ratio"], color=colour[variant], linewidth=1.2)
-        axis.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
+        if floor is not None:
+            axis.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (3, 3)))
         axis.set_yscale("log")
         axis.set_ylim(*limits)
         axis.yaxis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{100 * ratio:g}%"))

@@ -1,69 +1,86 @@
-"""What a study cost, artifact by artifact."""
+"""What a study cost: per artifact, per stage, and per student."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pandas as pd
 
-from acgd.reports.artifact import Artifact
+from acgd.reports.artifact import Artifact, Artifacts
 from acgd.reports.settings import ReportEntry, ReportRequest
 
-STAGES = ("expert", "critic", "rollouts", "backbone", "features", "codebook", "student", "evaluation", "controls")
-PER_TASK = ("expert", "critic", "rollouts", "features")
 COLUMNS = ["stage", "name", "variants", "key", "wall_s", "cpu_s", "peak_rss_bytes", "bytes"]
+BUDGET = ["variant", "seed", "demonstration_steps", "on_policy_steps", "on_policy_queries", "cpu_s"]
 
 
-def cost(request: ReportRequest, artifacts: Mapping[str, Sequence[Artifact]]) -> pd.DataFrame:
-    """stages.csv: one row per artifact. wall_s and peak_rss_bytes are of the run that made it, perhaps for an earlier study."""
+def cost(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
+    """stages.csv: one row per artifact. Times and memory are of the run that made it, maybe for another study."""
     rows = []
-    for stage in STAGES:
-        for place, artifact in enumerate(artifacts.get(stage, ())):
-            users = [entry for entry in request.entries if place in places(entry, stage)]
-            variants = list(dict.fromkeys(entry.variant for entry in users))
-            run = artifact.run
-            measured = [run.get("wall_s"), run.get("cpu_s"), run.get("peak_rss_bytes")]
-            rows.append(
-                (
-                    stage,
-                    _name(request, users, stage, place),
-                    ", ".join(variants),
-                    artifact.key,
-                    *measured,
-                    _bytes(artifact),
-                )
-            )
+    for stage, made in artifacts.items():
+        for place, artifact in enumerate(made):
+            users = [entry for entry in request.entries if place in entry.places(stage)]
+            variants = ", ".join(dict.fromkeys(entry.variant for entry in users))
+            usage = [artifact.run.get(name) for name in ("wall_s", "cpu_s", "peak_rss_bytes")]
+            rows.append((stage, label(request, artifact), variants, artifact.key, *usage, artifact.size))
     frame = pd.DataFrame(rows, columns=COLUMNS)
     return frame.astype({"wall_s": float, "cpu_s": float, "peak_rss_bytes": float})
 
 
 def per_stage(cost: pd.DataFrame) -> pd.DataFrame:
     """Sums over a stage's artifacts, in the order of the chain; memory is the greatest."""
-    named = dict(
+    sums = dict(
         artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"), cpu_s=("cpu_s", "sum")
     )
     return (
         cost.groupby("stage", sort=False)
-        .agg(**named, peak_rss_bytes=("peak_rss_bytes", "max"), bytes=("bytes", "sum"))
+        .agg(**sums, peak_rss_bytes=("peak_rss_bytes", "max"), bytes=("bytes", "sum"))
         .reset_index()
     )
 
 
-def places(entry: ReportEntry, stage: str) -> tuple[int, ...]:
-    """Where the artifacts of one entry stand in the inputs of that stage."""
-    value = getattr(entry, stage)
-    if value is None:
-        return ()
-    return value if isinstance(value, tuple) else (value,)
+def budget(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
+    """budget.csv: what each student took.
+
+    demonstration_steps: environment steps of the demonstrations, failures included. on_policy_steps, on_policy_queries:
+    environment steps and expert labels of all rounds. cpu_s: processor time of the student's last round and of all
+    artifacts upstream of it; one that several students share counts in full for each.
+    """
+    rows = []
+    for entry in request.entries:
+        demonstrations = _total(used(entry, "rollouts", artifacts), "environment_steps")
+        rounds = used(entry, "onpolicy", artifacts)
+        counts = [_total(rounds, "environment_steps"), _total(rounds, "expert_queries")]
+        seconds = sum(artifact.run.get("cpu_s", 0.0) for artifact in chain_of(entry, artifacts))
+        rows.append((entry.variant, entry.seed, demonstrations, *counts, seconds))
+    return pd.DataFrame(rows, columns=BUDGET)
 
 
-def _name(request: ReportRequest, users: Sequence[ReportEntry], stage: str, place: int) -> str:
-    """The task of a per-task artifact; the student seeds of the others, where they depend on one."""
-    if not users:
-        return ""
-    if stage in PER_TASK:
-        return request.tasks[getattr(users[0], stage).index(place)]
-    seeds = dict.fromkeys(str(entry.seed) for entry in users)
-    return f"seed {', '.join(seeds)}" if stage in ("codebook", "student", "evaluation") else ""
+def chain_of(entry: ReportEntry, artifacts: Artifacts) -> list[Artifact]:
+    """The student of the last round and everything that it was made from, by the keys in the manifests."""
+    by_key = {artifact.key: artifact for made in artifacts.values() for artifact in made}
+    wanted = [artifact.key for artifact in used(entry, "student", artifacts)[-1:]]
+    chain: dict[str, Artifact] = {}
+    while wanted:
+        key = wanted.pop()
+        if key in by_key and key not in chain:
+            chain[key] = by_key[key]
+            wanted += by_key[key].upstream
+    return list(chain.values())
 
 
-def _bytes(artifact: Artifact) -> int:
-    return sum(file.stat().st_size for file in artifact.path.rglob("*") if file.is_file())
+def used(entry: ReportEntry, stage: str, artifacts: Artifacts) -> list[Artifact]:
+    """The artifacts of one stage that the entry names, in its order."""
+    return [artifacts[stage][place] for place in entry.places(stage)]
+
+
+def label(request: ReportRequest, artifact: Artifact) -> str:
+    """What tells the artifact apart within its stage: task, student seed, round, condition."""
+    wants = artifact.request
+    by_slug = {task.replace("/", "-"): task for task in request.tasks}
+    task = (wants.get("task") or {}).get("name") or by_slug.get(artifact.manifest.get("name", ""), "")
+    seed = f"seed {wants['seed']}" if "seed" in wants else ""
+    turn = f"round {wants['round']}" if wants.get("round") else ""
+    condition = ", ".join(f"{name} {value}" for name, value in (wants.get("condition") or {}).items() if value)
+    return ", ".join(part for part in (task, seed, turn, condition) if part)
+
+
+def _total(artifacts: Sequence[Artifact], name: str) -> int:
+    return sum(artifact.json("summary.json").get(name, 0) for artifact in artifacts)

@@ -1,14 +1,14 @@
 """Pictures and films as data URIs, so that the page is one file."""
 
 import base64
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import zarr
 
-from acgd.reports.artifact import Artifact
+from acgd.reports.artifact import Artifact, Artifacts
+from acgd.reports.ledger import used
 from acgd.reports.settings import ReportRequest
 
 
@@ -18,7 +18,7 @@ class Clip:
 
     uri: str
     source: str
-    """Whose episode: variant and student seed."""
+    """Variant and student seed."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,17 @@ class Film:
     failure: Clip | None
 
 
-def films(request: ReportRequest, evaluations: Sequence[Artifact], rollouts: Sequence[Artifact]) -> list[Film]:
+def films(request: ReportRequest, artifacts: Artifacts) -> list[Film]:
     """Per task a success and a failure: those of the first student, in the study's order, that has one."""
-    found = []
+    films = []
     for task_id, task in enumerate(request.tasks):
         clips = {
-            kind: _clip(request, evaluations, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")
+            kind: _clip(request, artifacts, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")
         }
-        shown = next((rollouts[entry.rollouts[task_id]] for entry in request.entries if entry.rollouts), None)
-        found.append(Film(task, shown and picture(shown), clips["success"], clips["failure"]))
-    return found
+        rollouts = (used(entry, "rollouts", artifacts) for entry in request.entries)
+        shown = next((of_tasks[task_id] for of_tasks in rollouts if of_tasks), None)
+        films.append(Film(task, shown and picture(shown), clips["success"], clips["failure"]))
+    return films
 
 
 def picture(rollouts: Artifact) -> str | None:
@@ -54,13 +55,13 @@ def picture(rollouts: Artifact) -> str | None:
     return _uri("image/png", encoded.tobytes())
 
 
-def _clip(request: ReportRequest, evaluations: Sequence[Artifact], file: str) -> Clip | None:
+def _clip(request: ReportRequest, artifacts: Artifacts, file: str) -> Clip | None:
     if not request.report.clips:
         return None
     for entry in request.entries:
-        path = evaluations[entry.evaluation].path / "clips" / file
-        if path.exists():
-            return Clip(_uri("video/mp4", path.read_bytes()), f"{entry.variant}, student seed {entry.seed}")
+        for clips in used(entry, "clips", artifacts):
+            for path in clips.path.rglob(file):
+                return Clip(_uri("video/mp4", path.read_bytes()), f"{entry.variant}, student seed {entry.seed}")
     return None
 
 

@@ -1,7 +1,7 @@
 """Numbers as the report writes them."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 
 def proportion(rate: float, low: float, high: float, successes: int | None = None, episodes: int | None = None) -> str:
@@ -33,6 +33,12 @@ def signed(value: float) -> str:
     """A true minus sign, and no sign on what rounds to zero."""
     text = f"{value:+.2f}".replace("-", "−")
     return "0.00" if text[1:] == "0.00" else text
+
+
+def counted(count: int, what: str) -> str:
+    """Three student seeds, one task."""
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+    return f"{words[count] if count < len(words) else count} {what}{'' if count == 1 else 's'}"
 
 
 def points(fraction: float) -> str:
@@ -71,6 +77,12 @@ def figure(value: object) -> str:
     if isinstance(value, int) or float(value).is_integer():
         return f"{int(value):,}".replace(",", " ") if abs(value) < 1e15 else f"{value:.2e}"
     return f"{value:.3g}".replace("-", "−")
+
+
+def common(values: Iterable[float]) -> float | None:
+    """The value that all have, NaN left out; None where there is none or they differ."""
+    different = {value for value in values if not math.isnan(value)}
+    return different.pop() if len(different) == 1 else None
 
 
 def listing(items: list[str]) -> str:

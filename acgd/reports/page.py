@@ -2,22 +2,30 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from acgd.reports import ledger, numbers, success, tables, verdict
-from acgd.reports.evidence import Artifacts, Evidence
+from acgd.reports.artifact import Artifact, Artifacts
+from acgd.reports.evidence import Evidence
 from acgd.reports.media import Film
 from acgd.reports.settings import ReportRequest
 from acgd.reports.style import colours, inline
 
 HERE = Path(__file__).parent
 CODEBOOK = {
-    "variants": "variants", "seeds": "seed", "perplexity": "perplexity", "codes": "of codes", "groups": "groups", "bits": "bits per chunk",
-    "error_training": "error, training", "error_validation": "error, held out", "error_shuffled": "with shuffled codes", "shuffled_ratio": "ratio",
-}  # fmt: skip
+    "variants": "variants",
+    "seeds": "seed",
+    "perplexity": "perplexity",
+    "codes": "of codes",
+    "groups": "groups",
+    "bits": "bits per chunk",
+    "error_training": "error, training",
+    "error_validation": "error, held out",
+    "error_shuffled": "with shuffled codes",
+    "shuffled_ratio": "ratio",
+}
 
 
 def render(
@@ -33,25 +41,29 @@ def render(
         figures={name: inline(text, name) for name, text in svgs.items()},
         films=films,
         filmed=any(film.success or film.failure for film in films),
-        story=_story(request, evidence),
+        story=_story(request, evidence, artifacts),
         cards=_cards(request, evidence),
         tables=_tables(request, evidence),
         settings=_settings(request, artifacts),
     )
 
 
-def _story(request: ReportRequest, evidence: Evidence) -> dict[str, object]:
+def _story(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> dict[str, object]:
     """The sentences."""
     rule = request.report.success
     pooled, mean = success.pooled(evidence.success, rule), success.over_tasks(evidence.success, rule)
-    is_visual, told = verdict.visual(evidence.images)
+    is_visual, visual = verdict.visual(evidence.images)
+    reliable, floor = (numbers.common(evidence.guidance[name]) for name in ("reliable_rank", "counts_from"))
     return {
         "compared": verdict.compared(request, evidence.episodes),
-        "answers": verdict.answers(request, evidence.paired, mean, evidence.baseline),
+        "answers": verdict.answers(request, evidence.paired, mean, evidence.baseline, evidence.guided),
         "exceptions": verdict.exceptions(evidence.paired, rule),
         "idle": verdict.idle_guidance(evidence.guidance),
         "is_visual": is_visual,
-        "visual": told,
+        "visual": visual,
+        "precision": verdict.precision(artifacts),
+        "reliable_rank": None if reliable is None else f"{reliable:g}",
+        "counts_from": None if floor is None else f"{100 * floor:g}%",
         "replay": verdict.replay(pooled, request.tasks),
         "baseline": evidence.baseline,
     }
@@ -61,7 +73,7 @@ def _cards(request: ReportRequest, evidence: Evidence) -> list[dict[str, str]]:
     """Per variant its success over all tasks: what most readers look for first."""
     mean = success.over_tasks(evidence.success, request.report.success)
     students = mean[mean["kind"] == "student"]
-    shades = colours(list(dict.fromkeys(entry.variant for entry in request.entries)))
+    shades = colours(request.variants())
     cards = []
     for row in students.itertuples():
         interval = numbers.bracket(row.low, row.high).strip()
@@ -88,6 +100,7 @@ def _tables(request: ReportRequest, evidence: Evidence) -> dict[str, tables.Tabl
         "rules": tables.rules(evidence.success),
         "paired": tables.differences(evidence.paired, rule),
         "images": tables.drops(evidence.images),
+        "budget": tables.budget(evidence.budget, mean),
         "experts": tables.experts(evidence.experts),
         "demonstrations": tables.demonstrations(evidence.demonstrations),
         "critics": tables.critics(evidence.critics),
@@ -107,21 +120,21 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
     for artifact in everything:
         for package, version in {**artifact.manifest.get("simulator", {}), **artifact.run.get("packages", {})}.items():
             versions.setdefault(package, {})[str(version)] = None
-    machines = dict.fromkeys(text for artifact in everything if (text := _machine(artifact.run)))
+    machines = dict.fromkeys(text for artifact in everything if (text := _machine(artifact)))
     revisions = dict.fromkeys(artifact.run["revision"] for artifact in everything if artifact.run.get("revision"))
     return {
         "configuration": yaml.safe_dump(request.configuration, sort_keys=False, allow_unicode=True, width=120)
         if request.configuration
         else "",
-        "versions": {package: ", ".join(found) for package, found in sorted(versions.items())},
+        "versions": {package: ", ".join(each) for package, each in sorted(versions.items())},
         "machines": list(machines),
         "revisions": list(revisions),
     }
 
 
-def _machine(run: dict[str, Any]) -> str:
+def _machine(artifact: Artifact) -> str:
+    run = artifact.run
     cores = f"{run['cores']} cores" if run.get("cores") else ""
-    device, half = run.get("device", ""), "" if run.get("bfloat16", True) else "float32 for want of bfloat16"
-    return ", ".join(
-        text for text in (run.get("processor", ""), cores, "" if device == "cpu" else device, half) if text
-    )
+    device = "" if run.get("device") == "cpu" else run.get("device", "")
+    instead = "float32 for want of bfloat16" if artifact.precision == "float32" else ""
+    return ", ".join(text for text in (run.get("processor", ""), cores, device, instead) if text)

@@ -1,25 +1,23 @@
-"""The stage `report`: what a study found, on one page, and the tables and figures behind it."""
+"""The stage `report`: the results of a study on one page, and the tables and figures behind it."""
 
 from acgd.reports import media, success
-from acgd.reports.artifact import Artifact
+from acgd.reports.artifact import load
 from acgd.reports.drawing import draw
 from acgd.reports.evidence import Evidence
-from acgd.reports.ledger import STAGES
 from acgd.reports.page import render
 from acgd.reports.settings import ReportRequest
 from acgd.store.stage import Context, Inputs
 
 
-def report(config: ReportRequest, inputs: Inputs, ctx: Context) -> None:
+def report(request: ReportRequest, inputs: Inputs, ctx: Context) -> None:
     """Writes report.html, *.csv and *.svg. The same artifacts, with the same run.json, give the same bytes."""
-    artifacts = {stage: [Artifact(path) for path in inputs.get(stage, [])] for stage in STAGES}
-    evidence = Evidence.of(config, artifacts)
-    svgs = draw(config, evidence, artifacts)
-    films = media.films(config, artifacts["evaluation"], artifacts["rollouts"])
-    page = render(config, evidence, svgs, films, artifacts)
+    artifacts = load(inputs)
+    evidence = Evidence.of(request, artifacts)
+    svgs = draw(request, evidence, artifacts)
+    page = render(request, evidence, svgs, media.films(request, artifacts), artifacts)
     files = evidence.csv() | {f"{name}.svg": text for name, text in svgs.items()} | {"report.html": page}
     for name, text in files.items():
         (ctx.out / name).write_text(text, encoding="utf-8")
     ctx.metrics.rewind(-1)
-    mean = success.over_tasks(evidence.success, config.report.success)
+    mean = success.over_tasks(evidence.success, request.report.success)
     ctx.metrics.log(0, **{f"success/{row.variant}": row.rate for row in mean.itertuples() if row.kind == "student"})

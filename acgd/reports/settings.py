@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from acgd.settings import Section
+from acgd.settings import Request, Section
 
 
 class ReportConfig(Section):
@@ -12,43 +12,39 @@ class ReportConfig(Section):
 
     success: Literal["final", "held", "once"] = Field(
         "final",
-        description="Success rule of the headline, the paired differences and the controls. success.csv holds all three.",
+        description="Success rule of the headline, the differences and the controls. success.csv has all three.",
     )
     baseline: str | None = Field(
         None,
-        description="Variant that the others are compared with, episode by episode. Without one: the first variant that learns without guidance.",
+        description="Variant that the others are compared with, episode by episode. "
+        "Without one it is the first variant that learns without guidance.",
     )
     clips: bool = Field(
         True,
-        description="Embed the clips of a success and a failure per task. Without them the page is some megabytes smaller.",
+        description="Embed the clips of a success and a failure per task; they are some megabytes.",
     )
 
 
 class ReportEntry(Section):
-    """One trained student and the chain behind it. Each number is a place in the report's inputs of that stage's name."""
+    """One trained student and the artifacts behind it."""
 
     variant: str = Field(description="Name of the variant.")
     seed: int = Field(description="Student seed.")
-    student: int = Field(description="Place in inputs['student'].")
-    evaluation: int = Field(description="Place in inputs['evaluation'].")
-    codebook: int | None = Field(None, description="Place in inputs['codebook']; none for a student without one.")
-    backbone: int | None = Field(None, description="Place in inputs['backbone'].")
-    expert: tuple[int, ...] = Field((), description="Places in inputs['expert'], one per task of the study.")
-    critic: tuple[int, ...] = Field(
-        (), description="Places in inputs['critic'], one per task; empty for a student without guidance."
+    artifacts: dict[str, tuple[int, ...]] = Field(
+        description="Stage -> places in the report's inputs of that stage. A stage per task has one place per task, "
+        "`evaluation` one per condition with the headline first, `student` one per round."
     )
-    rollouts: tuple[int, ...] = Field((), description="Places in inputs['rollouts'], one per task.")
-    features: tuple[int, ...] = Field(
-        (), description="Places in inputs['features'], one per task; empty where the student learns its own."
-    )
-    controls: int | None = Field(None, description="Place in inputs['controls']; none for a study without controls.")
+
+    def places(self, stage: str) -> tuple[int, ...]:
+        """Places in inputs[stage]; empty for a student without that stage."""
+        return self.artifacts.get(stage, ())
 
 
-class ReportRequest(Section):
-    """What the report stage is asked for.
+class ReportRequest(Request):
+    """What the report depends on.
 
-    Its inputs are lists of artifact directories by stage name (`expert`, `critic`, `rollouts`, `backbone`, `features`,
-    `codebook`, `student`, `evaluation`, `controls`), each artifact once, however many entries use it.
+    Its inputs are lists of artifact directories by the name of their stage. Each artifact is listed once, however many
+    entries use it.
     """
 
     study: str = Field(description="Name of the study.")
@@ -60,3 +56,7 @@ class ReportRequest(Section):
     configuration: dict[str, JsonValue] = Field(
         default_factory=dict, description="The study's validated configuration, printed on the page."
     )
+
+    def variants(self) -> list[str]:
+        """Names of the variants in the study's order."""
+        return list(dict.fromkeys(entry.variant for entry in self.entries))

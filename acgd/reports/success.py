@@ -1,12 +1,12 @@
 """Success of every student and control, from the episodes alone."""
 
-from collections.abc import Sequence
-
 import pandas as pd
 
-from acgd.evaluation.intervals import over_seeds, wilson
-from acgd.reports.artifact import Artifact
+from acgd.evaluation.intervals import episode_noise, over_seeds
+from acgd.reports.artifact import Artifact, Artifacts
+from acgd.reports.ledger import used
 from acgd.reports.settings import ReportEntry, ReportRequest
+from acgd.simulate.proportion import wilson
 
 RULES = ("final", "held", "once")
 CONDITION = ["goal", "image_features", "start"]
@@ -17,33 +17,34 @@ CONTROLS = {
     "expert": "expert",
     "expert-nominal": "expert, nominal start",
 }
-"""What the controls stage calls them -> what the report does."""
+"""Name in the controls stage -> name in the report."""
 ROW = ["variant", "kind", "seed", "task", *CONDITION]
 
 
-def gather(request: ReportRequest, evaluations: Sequence[Artifact], controls: Sequence[Artifact]) -> pd.DataFrame:
+def gather(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
     """One row per episode, columns EPISODE.
 
-    kind: `student` in the headline condition of its evaluation, `condition` in another one, `control` for what is no student of
-    the study: replays, the expert, and a student that sees another episode's images. parent: the variant that a condition is of.
+    kind: `student` in the headline condition, which is the first one evaluated; `condition` in another one; `control`
+    for a replay, the expert, and a student that sees another episode's images. parent: the variant of a condition.
     """
-    parts = [_of_student(entry, evaluations[entry.evaluation]) for entry in request.entries]
-    used = dict.fromkeys(entry.controls for entry in request.entries if entry.controls is not None)
-    for order, place in enumerate(used):
-        owner = next(entry.variant for entry in request.entries if entry.controls == place)
-        parts.append(_of_controls(controls[place], owner, suffix=f" ({owner})" if order else ""))
+    parts = [_of_student(entry, artifacts) for entry in request.entries]
+    owners: dict[int, str] = {}
+    for entry in request.entries:
+        for place in entry.places("controls"):
+            owners.setdefault(place, entry.variant)
+    for order, (place, owner) in enumerate(owners.items()):
+        parts.append(_of_controls(artifacts["controls"][place], owner, suffix=f" ({owner})" if order else ""))
     parts = [part for part in parts if len(part)]
     episodes = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=EPISODE)
     return episodes.astype({"seed": "Int64", **{rule: bool for rule in RULES}})
 
 
-def _of_student(entry: ReportEntry, evaluation: Artifact) -> pd.DataFrame:
-    rows = pd.DataFrame(evaluation.json_lines("episodes.jsonl"))
+def _of_student(entry: ReportEntry, artifacts: Artifacts) -> pd.DataFrame:
+    evaluations = used(entry, "evaluation", artifacts)
+    rows = pd.DataFrame([row for evaluation in evaluations for row in evaluation.json_lines("episodes.jsonl")])
     if rows.empty:
         return pd.DataFrame(columns=EPISODE)
-    rows = rows.drop_duplicates(
-        ["task", "episode_seed", *CONDITION]
-    )  # without a goal image, conditions that differ in it are one
+    rows = rows.drop_duplicates(["task", "episode_seed", *CONDITION])
     rows = rows.assign(parent=entry.variant, seed=entry.seed, episode=rows["episode_seed"])
     headline = rows.loc[0, CONDITION]
     named = [_name(entry.variant, headline, condition) for _, condition in rows[CONDITION].iterrows()]
@@ -78,15 +79,15 @@ def table(episodes: pd.DataFrame) -> pd.DataFrame:
         for rule in RULES:
             successes, n = int(group[rule].sum()), len(group)
             interval = wilson(successes, n)
-            rows.append((*key, rule, n, successes, interval.mean, interval.low, interval.high))
+            rows.append((*key, rule, n, successes, interval.rate, interval.low, interval.high))
     frame = pd.DataFrame(rows, columns=[*ROW, "rule", "episodes", "successes", "rate", "low", "high"])
     return frame.astype({"seed": "Int64"})
 
 
 def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """One row per variant and task, over its student seeds: variant, kind, task, episodes, successes, rate, low, high, by_seed.
+    """One row per variant and task: variant, kind, task, episodes, successes, rate, low, high, by_seed.
 
-    Wilson's interval takes the episodes as independent; `by_seed` holds each student's own rate, since they are not.
+    Wilson's interval takes the episodes of all student seeds as independent. `by_seed` holds the rate of each student.
     """
     rows = []
     for (variant, kind, task), group in success[success["rule"] == rule].groupby(
@@ -95,7 +96,7 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
         successes, n = int(group["successes"].sum()), int(group["episodes"].sum())
         interval = wilson(successes, n)
         rows.append(
-            (variant, kind, task, n, successes, interval.mean, interval.low, interval.high, group["rate"].tolist())
+            (variant, kind, task, n, successes, interval.rate, interval.low, interval.high, group["rate"].tolist())
         )
     return pd.DataFrame(
         rows, columns=["variant", "kind", "task", "episodes", "successes", "rate", "low", "high", "by_seed"]
@@ -103,14 +104,16 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
 
 
 def over_tasks(success: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """One row per variant: the mean of its tasks' rates, each task weighing the same, and the t interval over student seeds.
+    """One row per variant: the mean of its tasks' rates and the t interval over student seeds. Tasks weigh the same.
 
-    Columns variant, kind, rate, low, high, seeds; without a second seed low and high are NaN.
+    Columns variant, kind, rate, low, high, seeds; without a second seed low and high are NaN. The interval is at least
+    as wide as the noise of the episodes.
     """
     rows = []
     for (variant, kind), group in success[success["rule"] == rule].groupby(["variant", "kind"], sort=False):
         by_seed = group.groupby("seed", dropna=False)["rate"].mean().tolist()
-        interval = over_seeds(by_seed)
+        counts = group.groupby("task", sort=False)[["successes", "episodes"]].sum()
+        interval = over_seeds(by_seed, episode_noise(counts["successes"], counts["episodes"]))
         known = len(by_seed) > 1
         rows.append(
             (

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import pandas as pd
 
-from acgd.evaluation.intervals import wilson
+from acgd.evaluation.intervals import SEEDS_FOR_A_CLAIM
 from acgd.reports import numbers
 from acgd.reports.differences import ALL_TASKS
+from acgd.simulate.proportion import wilson
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,11 @@ def rate(row: object, kind: str = "") -> Cell:
     return Cell(main, small, kind)
 
 
-def interval(mean: float, low: float, high: float, signed: bool = False) -> Cell:
-    """A mean with its interval in small type; strong where a difference's interval excludes zero."""
+def interval(mean: float, low: float, high: float, signed: bool = False, seeds: int = SEEDS_FOR_A_CLAIM) -> Cell:
+    """A mean with its interval in small type; strong where a difference excludes zero with seeds enough for a claim."""
     whole = numbers.difference(mean, low, high) if signed else numbers.proportion(mean, low, high)
     main, _, small = whole.partition(" ")
-    return Cell(main, small, "strong" if signed and (low > 0 or high < 0) else "")
+    return Cell(main, small, "strong" if signed and seeds >= SEEDS_FOR_A_CLAIM and (low > 0 or high < 0) else "")
 
 
 def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kinds: Sequence[str]) -> Table:
@@ -55,10 +56,10 @@ def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kind
         cells = [rate(of.loc[task]) if task in of.index else Cell("–") for task in tasks]
         row = mean[mean["variant"] == variant].iloc[0]
         seeds = max(len(by_seed) for by_seed in of["by_seed"])
-        told = f"{seeds} student seed{'s' * (seeds > 1)}" if of["kind"].iloc[0] == "student" else ""
+        count = f"{seeds} student seed{'s' * (seeds > 1)}" if of["kind"].iloc[0] == "student" else ""
         rows.append(
             [
-                name(variant.removeprefix("control: "), told),
+                name(variant.removeprefix("control: "), count),
                 *cells,
                 *([interval(row.rate, row.low, row.high)] if len(tasks) > 1 else []),
             ]
@@ -81,7 +82,7 @@ def differences(paired: pd.DataFrame, rule: str) -> Table:
             Cell(f"{row.p_value:.3f}"),
             Cell(by_seed, kind="name"),
         ]
-        rows.append([label, interval(row.mean, row.low, row.high, signed=True), *cells])
+        rows.append([label, interval(row.mean, row.low, row.high, signed=True, seeds=row.seeds), *cells])
     return Table(["", "difference", "won", "lost", "pairs", "McNemar’s p", "by student seed"], rows)
 
 
@@ -92,11 +93,25 @@ def drops(drops: pd.DataFrame) -> Table:
             name(row.task, row.variant),
             Cell(f"{row.own:.2f}"),
             Cell(f"{row.shuffled:.2f}"),
-            interval(row.mean, row.low, row.high, signed=True),
+            interval(row.mean, row.low, row.high, signed=True, seeds=row.seeds),
         ]
         for row in drops.itertuples()
     ]
     return Table(["", "own images", "another episode’s", "lost without"], rows)
+
+
+def budget(budget: pd.DataFrame, mean: pd.DataFrame) -> Table:
+    """Per variant its success and what one student took, as the mean over student seeds."""
+    rates = {row.variant: row for row in mean[mean["kind"] == "student"].itertuples()}
+    rows = []
+    for variant, group in budget.groupby("variant", sort=False):
+        row = rates.get(variant)
+        success = Cell("–") if row is None else interval(row.rate, row.low, row.high)
+        counts = [group[column].mean() for column in ("demonstration_steps", "on_policy_steps", "on_policy_queries")]
+        minutes = Cell(f"{group['cpu_s'].mean() / 60:.1f}")
+        rows.append([name(variant), success, *(Cell(numbers.figure(round(count))) for count in counts), minutes])
+    steps = ["environment steps, demonstrations", "environment steps, on-policy", "expert queries, on-policy"]
+    return Table(["", "success", *steps, "processor minutes"], rows)
 
 
 def cost(per_stage: pd.DataFrame) -> Table:
@@ -161,23 +176,23 @@ def rules(success: pd.DataFrame) -> Table:
 
 
 def interval_of(successes: int, episodes: int) -> Cell:
-    found = wilson(successes, episodes)
-    return Cell(f"{found.mean:.2f}", f"{numbers.bracket(found.low, found.high).strip()} ({successes}/{episodes})")
+    rate = wilson(successes, episodes)
+    return Cell(f"{rate.rate:.2f}", f"{numbers.bracket(rate.low, rate.high).strip()} ({successes}/{episodes})")
 
 
 def experts(experts: pd.DataFrame) -> Table:
     """Algorithm, steps and the card's success."""
-    rows = []
+    several, rows = experts["task"].duplicated(keep=False).any(), []
     for row in experts.itertuples():
-        known = pd.notna(row.rate)
-        told = rate(row) if known else Cell("–")
-        rows.append([name(row.task, row.variants if experts["task"].duplicated(keep=False).any() else ""), Cell(row.algorithm or "–", kind="name"),
-                     Cell(numbers.figure(row.steps)), Cell(row.start or "–", kind="name"), told])  # fmt: skip
+        about = [Cell(row.algorithm or "–", kind="name"), Cell(numbers.figure(row.steps))]
+        success = rate(row) if pd.notna(row.rate) else Cell("–")
+        label = name(row.task, row.variants if several else "")
+        rows.append([label, *about, Cell(row.start or "–", kind="name"), success])
     return Table(["task", "algorithm", "environment steps", "starts", "success"], rows)
 
 
 def demonstrations(demonstrations: pd.DataFrame) -> Table:
-    """What the experts had to do for the demonstrations that were kept."""
+    """Demonstrations that were kept, and the environment steps that they took."""
     twice = demonstrations["task"].duplicated(keep=False).any()
     rows = []
     for row in demonstrations.itertuples():
@@ -190,7 +205,7 @@ def demonstrations(demonstrations: pd.DataFrame) -> Table:
 
 
 def backbone(backbone: pd.DataFrame) -> Table:
-    """Per task how much of object and goal a held-out frame tells; the worst target by name."""
+    """Per task how well object and goal are regressed from a held-out frame; the worst target by name."""
     rows = []
     for (variants, task), group in backbone[backbone["r2"].notna()].groupby(["variants", "task"], sort=False):
         worst = group.loc[group["r2"].idxmin()]

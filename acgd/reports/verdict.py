@@ -1,88 +1,103 @@
-"""What the numbers say, in sentences. Nothing here knows which answer is hoped for."""
+"""The results in sentences. Nothing here depends on which answer is hoped for."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import pandas as pd
 
+from acgd.evaluation.intervals import SEEDS_FOR_A_CLAIM
 from acgd.reports import numbers
+from acgd.reports.artifact import Artifacts
 from acgd.reports.differences import ALL_TASKS, VISUAL_DROP
 from acgd.reports.settings import ReportRequest
 
 
-def choose_baseline(request: ReportRequest) -> str:
+def choose_baseline(request: ReportRequest, guided: Set[str]) -> str:
     """The variant to compare with: the configured one, else the first without guidance, else the first."""
-    variants = list(dict.fromkeys(entry.variant for entry in request.entries))
-    wanted = request.report.baseline
-    if wanted is not None:
-        if wanted not in variants:
-            raise ValueError(
-                f"report.baseline is {wanted!r}, which is no variant of the study; choose one of {', '.join(variants)}"
-            )
-        return wanted
-    guided = guided_variants(request)
-    return next((variant for variant in variants if variant not in guided), variants[0])
-
-
-def guided_variants(request: ReportRequest) -> set[str]:
-    """Variants whose students were distilled from critics."""
-    return {entry.variant for entry in request.entries if entry.critic}
+    variants, configured = request.variants(), request.report.baseline
+    if configured is None:
+        return next((variant for variant in variants if variant not in guided), variants[0])
+    if configured not in variants:
+        raise ValueError(
+            f"report.baseline is {configured!r}, which is no variant of the study; choose one of {', '.join(variants)}"
+        )
+    return configured
 
 
 def compared(request: ReportRequest, episodes: pd.DataFrame) -> str:
     """One sentence: variants, tasks, student seeds, episodes."""
-    variants = list(dict.fromkeys(entry.variant for entry in request.entries))
+    variants = request.variants()
     seeds = {entry.seed for entry in request.entries}
     students = episodes[episodes["kind"] == "student"]
     counts = students.groupby(["variant", "seed", "task"]).size()
     per = "no episodes" if counts.empty else f"{_range(counts)} held-out episodes per task and student"
     tasks = len(request.tasks)
     return (
-        f"{numbers.listing(variants)}: one {'multi-task ' if tasks > 1 else ''}student per seed for {tasks} task{'s' * (tasks > 1)}, "
+        f"{numbers.listing(variants)}: one {'multi-task ' if tasks > 1 else ''}student per seed "
+        f"for {tasks} task{'s' * (tasks > 1)}, "
         f"{len(seeds)} student seed{'s' * (len(seeds) > 1)}, {per}."
     )
 
 
-def answers(request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, baseline: str) -> list[str]:
-    """One sentence per variant: did it do better than the baseline, going by the interval of the paired difference."""
-    guided, rule = guided_variants(request), request.report.success
+def answers(
+    request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, baseline: str, guided: Set[str]
+) -> list[str]:
+    """One sentence per variant: whether it does better than the baseline, by the interval of the paired difference.
+
+    With fewer than SEEDS_FOR_A_CLAIM student seeds the sentence has the interval and no claim.
+    """
     rates = {row.variant: row.rate for row in mean.itertuples()}
     sentences = []
-    for variant in dict.fromkeys(entry.variant for entry in request.entries):
+    for variant in request.variants():
         if variant == baseline:
             continue
-        rows = paired[(paired["variant"] == variant) & (paired["rule"] == rule)]
+        rows = paired[(paired["variant"] == variant) & (paired["rule"] == request.report.success)]
         if rows.empty:
             sentences.append(
-                f"{variant} shares no student seed, start and task with {baseline}, so nothing can be said of their difference."
+                f"{variant} shares no student seed, start and task with {baseline}: there is no paired difference."
             )
             continue
         whole = rows[rows["task"] == ALL_TASKS]
         row = (whole if len(whole) else rows).iloc[0]
-        told = f"{variant} {rates[variant]:.2f}, {baseline} {rates[baseline]:.2f}; paired difference {numbers.difference(row['mean'], row.low, row.high)}"
         where = f" on {row.task}" if len(request.tasks) > 1 and whole.empty else ""
-        told += ", an interval that covers zero." if row.low <= 0 <= row.high else "."
-        told += " It is of one student seed, and says nothing of the next." if row.seeds == 1 else ""
-        outcome = _outcome(row, "Guidance" if variant in guided and baseline not in guided else "", variant, baseline)
-        sentences.append(f"{outcome}{where}: {told}")
+        guides = variant in guided and baseline not in guided
+        covers = ", an interval that covers zero" if row.low <= 0 <= row.high else ""
+        figures = f"{variant} {rates[variant]:.2f}, {baseline} {rates[baseline]:.2f}; paired difference"
+        interval = numbers.difference(row["mean"], row.low, row.high)
+        sentences.append(f"{_outcome(row, guides, variant, baseline)}{where}: {figures} {interval}{covers}.{_few(row)}")
     if not sentences and baseline in rates:
         sentences.append(
-            f"{baseline} succeeds in {rates[baseline]:.2f} of the episodes. With one variant there is nothing to compare."
+            f"{baseline} succeeds in {rates[baseline]:.2f} of the episodes. One variant: there is nothing to compare."
         )
     return sentences
 
 
-def _outcome(row: pd.Series, guidance: str, variant: str, baseline: str) -> str:
-    """Better, worse, or not told apart."""
-    if guidance:
-        return f"{guidance} {'helped' if row.low > 0 else 'hurt' if row.high < 0 else 'is not shown to help'}"
+def _outcome(row: pd.Series, guides: bool, variant: str, baseline: str) -> str:
+    """Better, worse, no difference shown, or no claim."""
+    if row.seeds < SEEDS_FOR_A_CLAIM:
+        question = "whether guidance helps" if guides else f"whether {variant} does better than {baseline}"
+        verb = "does" if row.seeds == 1 else "do"
+        return f"{numbers.counted(row.seeds, 'student seed').capitalize()} {verb} not tell {question}"
+    if guides:
+        return f"Guidance {'helped' if row.low > 0 else 'hurt' if row.high < 0 else 'is not shown to help'}"
     if row.low > 0 or row.high < 0:
         return f"{variant} did {'better' if row.low > 0 else 'worse'} than {baseline}"
-    return f"{variant} did no better and no worse than {baseline}"
+    return f"{variant} is not shown to differ from {baseline}"
+
+
+def _few(row: pd.Series) -> str:
+    """The sentence after an interval of few student seeds."""
+    if row.seeds == 1:
+        return " The interval is of the episodes only; nothing is known of the next student seed."
+    if row.seeds < SEEDS_FOR_A_CLAIM:
+        seeds, needed = numbers.counted(row.seeds, "student seed"), numbers.counted(SEEDS_FOR_A_CLAIM, "student seed")
+        return f" {seeds.capitalize()} carry an interval and no claim; a claim needs {needed}."
+    return ""
 
 
 def exceptions(paired: pd.DataFrame, rule: str) -> str:
-    """Tasks whose own interval lies to one side of zero, where there are several tasks."""
+    """Tasks whose interval lies to one side of zero, where there are several tasks and seeds enough for a claim."""
     tasks = paired[(paired["rule"] == rule) & (paired["task"] != ALL_TASKS)]
+    tasks = tasks[tasks["seeds"] >= SEEDS_FOR_A_CLAIM]
     if tasks["task"].nunique() < 2:
         return ""
     apart = [
@@ -92,16 +107,15 @@ def exceptions(paired: pd.DataFrame, rule: str) -> str:
     ]
     if not apart:
         return "On no single task does the interval of the difference exclude zero."
-    return f"Task by task, the interval excludes zero on {numbers.listing(apart)}."
+    chance = f"By chance, one of twenty such intervals does; here are {len(tasks)}."
+    return f"Task by task, the interval excludes zero on {numbers.listing(apart)}. {chance}"
 
 
 def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
     """Whether some task needs its image; None where no student was run with shuffled image features."""
     if drops.empty:
-        return (
-            None,
-            "Whether the students use their images was not measured: no evaluation has a condition with image_features: shuffled.",
-        )
+        condition = "no evaluation has a condition with image_features: shuffled"
+        return None, f"Whether the students use their images was not measured: {condition}."
     per_task = [group.loc[group["mean"].idxmax()] for _, group in drops.groupby("task", sort=False)]
     needing = [row for row in per_task if row["mean"] >= VISUAL_DROP - 1e-9]
     lost = [
@@ -111,43 +125,59 @@ def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
     if needing:
         return True, f"The study is visual: when image features are shuffled across episodes, {numbers.listing(lost)}."
     return False, (
-        f"The study is not visual: no task loses {numbers.points(VISUAL_DROP)} when image features are shuffled across episodes "
-        f"({numbers.listing(lost)}). What it finds says little about vision."
+        f"The study is not visual: no task loses {numbers.points(VISUAL_DROP)} when image features are shuffled across "
+        f"episodes ({numbers.listing(lost)}). Its results say little about vision."
     )
 
 
 def replay(pooled: pd.DataFrame, tasks: Sequence[str]) -> str:
-    """Tasks that a replay, which sees nothing once started, does as well as the best student."""
-    told = []
+    """Tasks on which the replay of a demonstration does as well as the best student."""
+    solved = []
     for task in tasks:
         rows = pooled[pooled["task"] == task]
-        students, blind = (
-            rows[rows["kind"] == "student"],
-            rows[(rows["kind"] == "control") & rows["variant"].str.contains("replay")],
-        )
-        if students.empty or blind.empty:
+        students = rows[rows["kind"] == "student"]
+        replays = rows[(rows["kind"] == "control") & rows["variant"].str.contains("replay")]
+        if students.empty or replays.empty:
             continue
-        best, other = students.loc[students["rate"].idxmax()], blind.loc[blind["rate"].idxmax()]
+        best, other = students.loc[students["rate"].idxmax()], replays.loc[replays["rate"].idxmax()]
         if other.high >= best.rate:
-            told.append(
-                f"{task} ({other.variant.removeprefix('control: ')} {other.rate:.2f}, best student {best.rate:.2f})"
-            )
-    if not told:
+            name = other.variant.removeprefix("control: ")
+            solved.append(f"{task} ({name} {other.rate:.2f}, best student {best.rate:.2f})")
+    if not solved:
         return ""
-    return f"A replay that never looks does about as well as the best student on {numbers.listing(told)}: there, success shows little feedback control."
+    return (
+        "The replay of a demonstration, which reads nothing after the start, does about as well as the best student on "
+        f"{numbers.listing(solved)}: there, success shows little feedback control."
+    )
 
 
 def idle_guidance(gates: pd.DataFrame) -> str:
-    """Guided students whose critics had no say: closed gates, or gradients below the floor."""
+    """Guided students without guidance in effect: closed gates, or gradients below the floor."""
     if gates.empty:
         return ""
     closed, faint = gates[gates["gate"] == 0], gates[(gates["gate"] != 0) & gates["counts_as_none"]]
-    parts = []
+    floor, parts = numbers.common(faint["counts_from"]), []
     if len(closed):
         parts.append(f"the gate was closed for {_which(closed)}")
     if len(faint):
-        parts.append(f"the critics’ gradient stayed below 1% of imitation’s for {_which(faint)}")
+        below = "the floor" if floor is None else f"{100 * floor:g}% of imitation’s"
+        parts.append(f"the critics’ gradient stayed below {below} for {_which(faint)}")
     return f"Read it with care: {numbers.listing(parts)}, which counts as no guidance." if parts else ""
+
+
+def precision(artifacts: Artifacts) -> str:
+    """Stages whose artifacts ask for bfloat16 and were computed in different precisions."""
+    mixed = []
+    for stage, made in artifacts.items():
+        used = [artifact.precision for artifact in made if artifact.precision is not None]
+        if len(set(used)) > 1:
+            mixed.append(f"{stage} ({used.count('float32')} of {len(used)} in float32)")
+    if not mixed:
+        return ""
+    return (
+        f"The study mixes precisions: of artifacts that ask for bfloat16, {numbers.listing(mixed)}, since a processor "
+        "had no bfloat16. A difference between variants may come from that."
+    )
 
 
 def _which(rows: pd.DataFrame) -> str:
