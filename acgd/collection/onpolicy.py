@@ -11,7 +11,7 @@ from acgd.collection.waves import StoredEpisode, steps, wave, write_rollouts
 from acgd.evaluation.goals import training_goals
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.policy import STUDENT_ENTRIES, Mean, Mixture, Padded, Policy, Restricted
+from acgd.simulate.policy import Mean, Mixture, Padded, Policy
 from acgd.simulate.record import Episode, Episodes
 from acgd.simulate.roll import Step, roll
 from acgd.simulate.seeds import round_seeds
@@ -41,10 +41,9 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
         weights = expert.meta["reward_weights"]
         lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)
-        restricted = Restricted(student, STUDENT_ENTRIES)
         chance = rounds.beta**request.round
         return lambda batch: run_wave(
-            expert, restricted, lock, batch, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
+            expert, student, lock, batch, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
         )
 
     episodes: list[StoredEpisode] = []

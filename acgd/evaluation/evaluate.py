@@ -8,7 +8,7 @@ from acgd.evaluation.settings import EvaluationRequest
 from acgd.evaluation.summary import write_summary
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.policy import STUDENT_ENTRIES, Policy, Restricted, ShuffledImages
+from acgd.simulate.policy import Policy, ShuffledImages
 from acgd.store.stage import Context, Inputs
 from acgd.students.load import load_policy
 from acgd.tasks.settings import TaskConfig
@@ -20,7 +20,7 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     student = load_policy(
         inputs["student"], inputs["backbone"], request.acting, ctx.device, size, weights=settings.weights
     )
-    policy: Policy = Restricted(student, STUDENT_ENTRIES)
+    policy: Policy = student
     if condition.image_features == "shuffled":
         policy = ShuffledImages(policy)
     starts = [
