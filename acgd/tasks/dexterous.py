@@ -5,32 +5,17 @@ q* <- clip(q* + stride m). The targets are MuJoCo's controls; m, and for how man
 its user data: the simulator's own state is all that an episode continues from.
 """
 
-from collections.abc import Callable
-
 import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.tasks import spray
-from acgd.tasks.bottle import Bottle
 from acgd.tasks.observation import layout, space
 from acgd.tasks.scene import Scene
-from acgd.tasks.scissors import Scissors
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
-from acgd.tasks.switch import Switch
 from acgd.tasks.weights import merge_weights
-
-SCENES: dict[str, Callable[[], Scene]] = {
-    "spray-1": lambda: spray.SprayScene("spray-1"),
-    "spray-2": lambda: spray.SprayScene("spray-2"),
-    "bottle": Bottle,
-    "scissors": Scissors,
-    "switch": Switch,
-}
-"""By task kind."""
 
 SUBSTEPS = 8
 """Of 5 ms: 25 control steps a second."""
@@ -58,6 +43,8 @@ class DexterousTask(gymnasium.Env):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+    advances = False
+    """There are no starts on the way to the goal."""
 
     def __init__(
         self,
@@ -68,7 +55,8 @@ class DexterousTask(gymnasium.Env):
         reward_weights: dict[str, float] | None = None,
     ) -> None:
         self.task, self.config = spec, config
-        self.scene = scene = SCENES[spec.kind]()
+        scene: Scene = spec.code().SCENE()
+        self.scene = scene
         self.render_mode = "rgb_array"
         self.model = scene.model
         self.data = mujoco.MjData(self.model)
@@ -181,10 +169,9 @@ class DexterousTask(gymnasium.Env):
     def render(self) -> np.ndarray:
         """The current picture (H, W, 3) uint8."""
         if self._renderer is None:
-            from acgd.tasks.cameras import CAMERAS
-            from acgd.tasks.rendering import Renderer
+            from acgd.tasks.rendering.renderer import Renderer
 
-            self._renderer = Renderer(self.model, camera=CAMERAS[self.task.kind], size=self.config.image_size)
+            self._renderer = Renderer(self.model, camera=self.task.code().CAMERA, size=self.config.image_size)
         return self._renderer.render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:

@@ -1,5 +1,6 @@
 """How to make a task."""
 
+from acgd.settings import imported
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
@@ -12,8 +13,4 @@ def make(task: TaskConfig | str, *, image: bool = True, reward_weights: dict[str
     """
     config = TaskConfig(name=task) if isinstance(task, str) else task
     spec = TASKS[config.name]
-    if spec.suite == "myo":
-        from acgd.tasks.myodex import MyoDexTask as Task
-    else:
-        from acgd.tasks.dexterous import DexterousTask as Task
-    return Task(spec, config, image=image, reward_weights=reward_weights)
+    return imported(spec.environment)(spec, config, image=image, reward_weights=reward_weights)
