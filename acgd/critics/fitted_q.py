@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from acgd.critics.targets import Targets, targets
 from acgd.critics.transitions import ROLLOUT, Transitions
 from acgd.nn.q_ensemble import Critic, measured
 from acgd.store import checkpoint
+from acgd.store.atomic import replace_file
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3
@@ -178,12 +178,7 @@ class FittedQ:
             "generator": self.generator.get_state(),
         }
         data = save({name: value.contiguous() for name, value in tensors.items()}, {"step": json.dumps(self.step)})
-        draft = path.with_suffix(".tmp")
-        with open(draft, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, path)
+        replace_file(path, lambda draft: draft.write_bytes(data))
 
     def resume(self, path: Path) -> None:
         """Goes on from what `save` wrote, to the same bytes as if never stopped."""

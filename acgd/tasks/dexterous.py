@@ -43,8 +43,6 @@ class DexterousTask(gymnasium.Env):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
-    advances = False
-    """There are no starts on the way to the goal."""
 
     def __init__(
         self,

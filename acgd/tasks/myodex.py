@@ -58,8 +58,6 @@ class MyoDexTask(gymnasium.Env):
     ) -> None:
         self.task, self.config = spec, config
         self.kind: MyoKind = spec.code().KIND
-        self.advances = self.kind.advance is not None
-        """Whether there are starts on the way to the goal."""
         self.base = _make_base(spec.gym_id)
         self.render_mode = "rgb_array"
         self.model, self.data = self.base.model, self.base.data
@@ -93,7 +91,7 @@ class MyoDexTask(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Start an episode; the same seed gives the same start, whatever came before.
 
-        `options={"advance": x}` starts x of the way from there to the goal, for training, if `advances`.
+        `options={"advance": x}` starts x of the way from there to the goal, for training: of `ADVANCED_KINDS`.
         """
         super().reset(seed=seed)
         if seed is None:

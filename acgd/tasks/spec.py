@@ -199,4 +199,7 @@ _SPECS = (
     ),
 )
 
+ADVANCED_KINDS = ("key-turn", "pose")
+"""Kinds with starts on the way to the goal: their `KIND.advance` makes them."""
+
 TASKS: dict[str, TaskSpec] = {spec.name: spec for spec in _SPECS}
