@@ -10,8 +10,9 @@ from acgd.collection.episode import run_wave
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
-from acgd.tasks import allegro, registry, spray
+from acgd.tasks import registry, spray
 from acgd.tasks.dexterous import AFTERWARDS, SMOOTHING, DexterousTask
+from acgd.tasks.robots import allegro
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import Snapshot
 from acgd.tasks.spray import HOLD_STEPS

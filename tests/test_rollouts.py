@@ -17,11 +17,11 @@ from acgd.rollouts.store import DamagedStoreError, read_group, write_group
 from acgd.rollouts.windows import Windows
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics
-from acgd.tracking.progress import Progress
 
 TASK = TaskConfig(name="myo/reach")
 CPU = torch.device("cpu")

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from acgd.tracking.metrics import Metrics, read
+from acgd.store.metrics import Metrics, read
+from acgd.store.progress import Progress
 from acgd.tracking.mlflow_mirror import Mirrored, database_uri, sync
-from acgd.tracking.progress import Progress
 
 
 def test_metrics_come_back_as_they_were_logged(tmp_path: Path) -> None:

@@ -18,9 +18,9 @@ from acgd.experts.train import check, sha256
 from acgd.nn.q_ensemble import WEIGHTS, Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.progress import Progress
 from acgd.store.stage import Context, Inputs
 from acgd.tasks.spec import TASKS
-from acgd.tracking.progress import Progress
 
 ENVIRONMENTS = 8
 """Side by side in one process: enough to batch the expert, few enough to make."""

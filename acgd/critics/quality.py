@@ -21,7 +21,7 @@ from acgd.experts.policy import Expert
 from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
-from acgd.tracking.progress import Progress
+from acgd.store.progress import Progress
 
 VISIT_RATE = 0.25
 CONFIDENCE = 0.95

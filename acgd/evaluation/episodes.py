@@ -19,9 +19,9 @@ from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
 from acgd.store.atomic import replace_file
+from acgd.store.progress import Bar
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.progress import Bar
 
 Policy = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """(stacked observations of m episodes, time step) -> actions (m, A)."""

@@ -13,12 +13,12 @@ from acgd.evaluation.settings import EvaluationRequest
 from acgd.evaluation.summary import RULES, write_summary
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
+from acgd.store.progress import Bar
 from acgd.store.stage import Context, Inputs
 from acgd.students import load as load_student
 from acgd.students.acting import Actor
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
-from acgd.tracking.progress import Bar
 from acgd.vision.backbones import load as load_backbone
 
 

@@ -21,7 +21,7 @@ from acgd.experts.settings import ExpertRequest, PPOConfig
 from acgd.experts.training_env import StateOnly
 from acgd.store import checkpoint
 from acgd.store.atomic import replace_file
-from acgd.tracking.metrics import Metrics
+from acgd.store.metrics import Metrics
 
 
 def train_ppo(
