@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from acgd.tasks import registry
-from acgd.tasks.cameras import CAMERAS
 from acgd.tasks.dexterous import DexterousTask
-from acgd.tasks.rendering import Renderer
+from acgd.tasks.rendering.renderer import Renderer
 from benchmarks.row import Row
 
 TASKS = tuple(name for name, spec in registry.TASKS.items() if spec.suite in ("bidex", "opdex"))
@@ -40,7 +39,7 @@ def _measure(task: str) -> list[Row]:
     env = registry.make(task, image_size=None)
     least = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
-    renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)
+    renderer = Renderer(env.model, camera=env.task.code().CAMERA, size=SIZE)
     frames = _rate(lambda: renderer.render(env.data), FRAMES)
     faults, growth = _soundness(env)
     lucky = sum(_episode(env, seed) for seed in range(EPISODES))

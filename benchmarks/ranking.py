@@ -20,10 +20,10 @@ from acgd.experts import zoo
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.progress import Progress
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE
-from acgd.tracking.progress import Progress
 from benchmarks.row import Row
 
 TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))

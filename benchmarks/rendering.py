@@ -7,9 +7,10 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from acgd.tasks import gl, registry
-from acgd.tasks.cameras import CAMERAS, Camera
-from acgd.tasks.rendering import Renderer
+from acgd.tasks import registry
+from acgd.tasks.rendering import gl
+from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.rendering.renderer import Renderer
 from benchmarks.row import Row
 
 SIZE = 84
@@ -28,7 +29,7 @@ def run() -> list[Row]:
 def _measure(task: str) -> Row:
     env = registry.make(task, image_size=None)
     env.reset(seed=0)
-    camera = CAMERAS[env.task.kind]
+    camera = env.task.code().CAMERA
     ours = Renderer(env.model, camera=camera, size=SIZE)
     default = _default(env.model, env.data, camera)
     _, slow = _seconds(default, DEFAULT_FRAMES)

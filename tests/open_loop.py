@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acgd.tasks import bottle
-from acgd.tasks.shadow import MOTORS
+from acgd.tasks.kinds import bottle
+from acgd.tasks.robots.shadow import MOTORS
 
 
 @dataclass(frozen=True)

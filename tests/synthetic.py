@@ -7,11 +7,11 @@ import torch
 
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.store import write_group
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.students.settings import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics
-from acgd.tracking.progress import Progress
 from acgd.vision.settings import BackboneConfig
 
 TASKS = ("myo/reach", "myo/obj-hold")

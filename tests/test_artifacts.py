@@ -171,24 +171,6 @@ def test_a_lost_manifest_is_written_again_only_for_an_intact_payload(store, made
     assert (made / "manifest.json").read_bytes() == before and (made / "weights").read_bytes() == b"w" * 10
 
 
-def test_two_at_once_one_makes_the_other_waits_and_finds(store):
-    first = maker(store.results, "slow")
-    assert first.stdout.readline() == "filling\n"
-    second = maker(store.results, "slow")
-    assert f"waiting for process {first.pid}" in second.stderr.readline()
-    (store.results / "go").touch()
-    assert second.communicate(timeout=60)[0] == "found\n"
-    assert first.communicate(timeout=60)[0] == "made\n"
-
-
-def test_the_lock_of_a_killed_maker_holds_nobody_up(store):
-    first = maker(store.results, "slow")
-    first.stdout.readline()
-    first.kill()
-    first.communicate(timeout=60)
-    assert maker(store.results, "fast").communicate(timeout=60)[0].split() == ["filling", "made"]
-
-
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_a_full_disk_is_named_and_loses_nothing(store, made, wrapped):
     def full(space):
@@ -275,14 +257,6 @@ def test_gc_frees_what_no_study_names(store, study, made, capsys):
     commands.free(store, [], yes=True)
     assert not made.exists() and store.places() == sorted(study.artifacts)
     assert not store.work(PLACE).exists()
-
-
-def test_gc_leaves_alone_what_is_in_the_making(store, study):
-    process = maker(store.results, "slow")
-    process.stdout.readline()
-    commands.free(store, [], yes=True)
-    (store.results / "go").touch()
-    assert process.communicate(timeout=60)[0] == "made\n" and store.has(PLACE)
 
 
 def test_gc_frees_nothing_where_a_study_cannot_be_read(store, study, made):

@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from acgd.tasks import bottle, registry, scissors, shadow, switch
+from acgd.tasks import registry
 from acgd.tasks.dexterous import DexterousTask
+from acgd.tasks.kinds import bottle, scissors, switch
+from acgd.tasks.robots import shadow
 from acgd.tasks.settings import TaskConfig
 from tests.open_loop import SOLUTIONS, follow
 

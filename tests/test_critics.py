@@ -23,10 +23,10 @@ from acgd.experts.policy import Expert
 from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.metrics import Metrics, read
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics, read
-from acgd.tracking.progress import Progress
 
 CPU = torch.device("cpu")
 QUIET = Progress(open("/dev/null", "w"))

@@ -10,11 +10,12 @@ from acgd.collection.demonstrations import run_wave
 from acgd.collection.settings import RolloutsConfig
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
-from acgd.tasks import allegro, registry, spray
-from acgd.tasks.dexterous import AFTERWARDS, SCENES, SMOOTHING, DexterousTask
+from acgd.tasks import registry, spray
+from acgd.tasks.dexterous import AFTERWARDS, SMOOTHING, DexterousTask
+from acgd.tasks.robots import allegro
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import Snapshot
-from acgd.tasks.spray import BOTTLES, HOLD_STEPS, SprayScene
+from acgd.tasks.spray import HOLD_STEPS
 from tests.open_loop import SOLUTIONS, follow
 
 TASKS = [name for name, spec in registry.TASKS.items() if spec.suite in ("bidex", "opdex")]
@@ -170,9 +171,7 @@ def test_starts_are_near_or_far_within_their_ranges():
     assert np.abs(places).max() <= spray.PLACE_NOISE and np.std(places) > 0.3 * spray.PLACE_NOISE
 
 
-def test_a_wrong_variant_snapshot_start_or_action_is_named(env, monkeypatch):
-    with pytest.raises(ValueError, match="spray-3.*spray-1, spray-2"):
-        SprayScene("spray-3")
+def test_a_wrong_snapshot_start_or_action_is_named(env, monkeypatch):
     snapshot = env.snapshot()
     with pytest.raises(ValueError, match="of another task"):
         env.restore(replace(snapshot, integration=snapshot.integration[1:]))
@@ -181,7 +180,3 @@ def test_a_wrong_variant_snapshot_start_or_action_is_named(env, monkeypatch):
     monkeypatch.setattr(spray, "FAR_WRIST", spray.FAR_WRIST - 0.1)
     with pytest.raises(ValueError, match="wrist_y.*outside.*narrow its starts"):
         env.reset(seed=0)
-
-
-def test_every_bottle_is_a_task():
-    assert set(BOTTLES) == {spec.kind for spec in registry.TASKS.values() if spec.suite == "opdex"} <= set(SCENES)

@@ -22,14 +22,14 @@ from acgd.rollouts.store import write_group
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.proportion import wilson
 from acgd.simulate.seeds import SEEDS
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.students.codebook import Sizes
 from acgd.students.settings import CodebookConfig
 from acgd.students.student import Student
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics
-from acgd.tracking.progress import Progress
 
 PEN = TaskConfig(name="myo/pen-twirl")
 """The shortest episodes: 50 steps at most."""

@@ -20,9 +20,9 @@ from acgd.experts.settings import DaggerConfig, ExpertRequest, ExpertSettings, P
 from acgd.experts.training_env import StateOnly
 from acgd.nn.excitation import stretched_excitation
 from acgd.nn.q_ensemble import Critic
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics
-from acgd.tracking.progress import Progress
 
 SMALL = PPOConfig(
     steps=96, envs=2, rollout_steps=16, batch=16, epochs=2, width=8, learning_rate=1e-3, learning_rate_end=1e-4

@@ -18,7 +18,7 @@ from acgd.reports.page import render
 from acgd.reports.report import report as stage
 from acgd.reports.settings import ReportConfig
 from acgd.simulate.proportion import wilson
-from acgd.tracking.metrics import Metrics
+from acgd.store.metrics import Metrics
 
 GUIDED = {"acgd": [0.88, 0.72, 0.8], "no-guidance": [0.84, 0.72, 0.8]}
 

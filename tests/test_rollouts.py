@@ -23,8 +23,8 @@ from acgd.store.stage import Context
 from acgd.students.settings import ActingConfig
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig
-from acgd.tracking.metrics import Metrics
-from acgd.tracking.progress import Progress
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 
 TASK = TaskConfig(name="myo/reach")
 CPU = torch.device("cpu")

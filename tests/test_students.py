@@ -16,6 +16,7 @@ from acgd import students
 from acgd.critics.aggregate import AggregateCritic
 from acgd.nn.excitation import stretched_excitation
 from acgd.nn.q_ensemble import Critic
+from acgd.store import metrics
 from acgd.store.stage import Context
 from acgd.students import fit_codebook, losses, quantizer
 from acgd.students.acting import Actor
@@ -30,7 +31,6 @@ from acgd.students.quantizer import Quantizer
 from acgd.students.settings import ActingConfig, CodebookConfig, StudentConfig, TrainingConfig
 from acgd.students.student import Student
 from acgd.students.training import learning_rate
-from acgd.tracking import metrics
 
 STATES = (9, 12)
 

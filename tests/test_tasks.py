@@ -11,8 +11,10 @@ from pydantic import ValidationError
 
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import ROUND_EPISODES, SEEDS, round_seeds
-from acgd.tasks import registry, starts
+from acgd.tasks import registry
+from acgd.tasks.kinds import obj_hold
 from acgd.tasks.settings import TaskConfig
+from acgd.tasks.spec import ADVANCED_KINDS
 from acgd.tasks.success import SuccessCounter
 
 TASKS = list(registry.TASKS)
@@ -78,7 +80,12 @@ def test_perturbation_does_not_outlive_its_episode():
     for _ in range(50):
         perturbed.reset(seed=9)
     assert np.array_equal(perturbed.reset(seed=1)[0]["state"][perturbed.state_layout["goal_pos"]], goals[1])
-    assert all(np.abs(goal - middle).max() <= starts.HOLD_GOAL + 1e-6 for goal in goals.values())
+    assert all(np.abs(goal - middle).max() <= obj_hold.HOLD_GOAL + 1e-6 for goal in goals.values())
+
+
+def test_advanced_kinds_are_those_that_can_advance():
+    kinds = {spec.kind: spec.code() for spec in registry.TASKS.values() if spec.suite == "myo"}
+    assert {kind for kind, code in kinds.items() if code.KIND.advance} == set(ADVANCED_KINDS)
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -4,17 +4,19 @@ import io
 import json
 import logging
 import math
+import re
 import sqlite3
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from acgd.tracking.metrics import Metrics, read
+from acgd.store.metrics import Metrics, read
+from acgd.store.progress import Progress
 from acgd.tracking.mlflow_mirror import Mirrored, database_uri, sync
-from acgd.tracking.progress import LINE_EVERY_S, Progress
 
 
 def test_metrics_come_back_as_they_were_logged(tmp_path: Path) -> None:
@@ -67,43 +69,56 @@ def test_rewinding_a_curve_that_was_never_written_is_fine(tmp_path: Path) -> Non
     assert read(tmp_path / "metrics.jsonl") == []
 
 
-class Clock:
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def test_a_log_gets_lines_with_share_rate_time_left_and_figures() -> None:
-    stream, clock = io.StringIO(), Clock()
-    with Progress(stream, clock)(100, "fitting") as bar:
+    stream = io.StringIO()
+    with Progress(stream, line_every_s=0.02)(100, "fitting {x}") as bar:
         for _ in range(50):
-            clock.now += 0.5
+            time.sleep(0.002)
             bar.update(1, loss=0.25)
     lines = stream.getvalue().splitlines()
-    assert lines[0] == "fitting: 100 to do"
-    assert lines[1] == "fitting: 20% (20/100), 2/s, 0:40 left, loss 0.25"
-    assert lines[-1] == "fitting: done, 50/100 in 0:25, loss 0.25"
+    assert lines[0] == "fitting {x}: 100 to do"
+    assert 3 <= len(lines) < 10
+    for line in lines[1:-1]:
+        assert re.fullmatch(r"fitting \{x\}: (\d+)% \(\1/100\), [\d.]+/s, 00:00 left, loss 0.25", line), line
+    assert lines[-1] == "fitting {x}: done, 50/100 in 00:00, loss 0.25"
     assert "\r" not in stream.getvalue()
 
 
-def test_a_long_stage_does_not_flood_its_log() -> None:
-    stream, clock = io.StringIO(), Clock()
-    with Progress(stream, clock)(36_000, "training") as bar:
+def test_a_long_stage_does_not_flood_its_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr("tqdm.std.time", lambda: now)
+    stream = io.StringIO()
+    with Progress(stream)(36_000, "training") as bar:
         for _ in range(36_000):
-            clock.now += 1.0
+            now += 1.0
             bar.update()
     lines = stream.getvalue().splitlines()
     assert 10 < len(lines) < 120  # ten hours
-    assert LINE_EVERY_S >= 10
+    assert lines[1] == "training: 0% (10/36000), 1.00/s, 9:59:50 left"
+    assert lines[-1] == "training: done, 36000/36000 in 10:00:00"
 
 
-def test_what_an_earlier_run_did_counts_for_the_share_and_not_for_the_rate() -> None:
-    stream, clock = io.StringIO(), Clock()
-    with Progress(stream, clock)(100, "training", done=80) as bar:
-        clock.now += 10
+def test_what_an_earlier_run_did_counts_for_the_share_and_not_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr("tqdm.std.time", lambda: now)
+    stream = io.StringIO()
+    with Progress(stream)(100, "training", done=80) as bar:
+        now += 10
         bar.update(10)
-    assert "90% (90/100), 1/s, 0:10 left" in stream.getvalue()
+    assert stream.getvalue().splitlines() == [
+        "training: 100 to do, going on from 80",
+        "training: 90% (90/100), 1.00/s, 00:10 left",
+        "training: done, 90/100 in 00:10",
+    ]
+
+
+def test_nothing_to_do_and_more_than_was_to_do_are_fine() -> None:
+    stream = io.StringIO()
+    with Progress(stream)(0, "collecting"):
+        pass
+    with Progress(stream, line_every_s=0.0)(2, "collecting") as bar:
+        bar.update(5)
+    assert "done, 0/0" in stream.getvalue() and "done, 5/2" in stream.getvalue()
 
 
 def test_a_failure_is_told_and_travels() -> None:

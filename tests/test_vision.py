@@ -12,10 +12,10 @@ from torch import nn
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group, write_group
 from acgd.store.key import file_digest
+from acgd.store.metrics import Metrics, read
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.metrics import Metrics, read
-from acgd.tracking.progress import Progress
 from acgd.vision import augmentation, backbones, r3m
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode

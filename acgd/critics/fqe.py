@@ -15,7 +15,7 @@ from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
 from acgd.store.stage import Context
 from acgd.tasks.spec import TASKS
-from acgd.tracking.progress import Progress
+from acgd.store.progress import Progress
 
 VISITS_PER_BRANCH = 3
 """States kept to come back to, for each one that is drawn from them."""

@@ -13,8 +13,8 @@ from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import FirstThen, Mean, Offset
 from acgd.simulate.roll import Recorder, Step, roll
 from acgd.simulate.seeds import SeedRange
+from acgd.store.progress import Bar
 from acgd.tasks.snapshot import Snapshot
-from acgd.tracking.progress import Bar
 
 CANDIDATES = (("sample", 0.0), ("gaussian", 0.1), ("gaussian", 0.2), ("gaussian", 0.4), ("uniform", 0.0))
 """Where an action to try comes from, in turn, after the expert's mean: its own sample, noise around the mean, anywhere."""

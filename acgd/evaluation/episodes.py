@@ -20,9 +20,9 @@ from acgd.simulate.record import Outcomes
 from acgd.simulate.roll import roll
 from acgd.simulate.seeds import SEEDS
 from acgd.store.atomic import replace_file
+from acgd.store.progress import Bar
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
-from acgd.tracking.progress import Bar
 
 
 @dataclass(frozen=True)

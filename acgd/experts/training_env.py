@@ -6,8 +6,7 @@ import numpy as np
 from acgd.experts.settings import ExpertRequest
 from acgd.simulate.seeds import SEEDS
 from acgd.tasks import registry
-from acgd.tasks.spec import TASKS
-from acgd.tasks.starts import ADVANCED_KINDS
+from acgd.tasks.spec import ADVANCED_KINDS, TASKS
 
 
 class StateOnly(gymnasium.ObservationWrapper):

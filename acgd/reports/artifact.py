@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from acgd.tracking.metrics import read
+from acgd.store.metrics import read
 
 
 class Artifact:

@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: one safetensors file, replaced in one rename, so that a kill leaves the old or the new one."""
+"""Checkpoints of a training run: one safetensors file, replaced whole, so that a kill leaves the old or the new one."""
 
 import json
 from pathlib import Path

@@ -73,8 +73,8 @@ def _inputs(inputs: Mapping[str, Any], store: Store) -> Inputs:
 def _context(space: Workspace, threads: int, device: str) -> Context:
     import torch
 
-    from acgd.tracking.metrics import Metrics
-    from acgd.tracking.progress import Progress
+    from acgd.store.metrics import Metrics
+    from acgd.store.progress import Progress
 
     torch.set_num_threads(threads)
     chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device

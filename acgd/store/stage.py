@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     import torch
 
-    from acgd.tracking.metrics import Metrics
-    from acgd.tracking.progress import Progress
+    from acgd.store.metrics import Metrics
+    from acgd.store.progress import Progress
 
 Inputs = dict[str, "Path | list[Path]"]
 """Role -> directory of a published artifact. A list where the stage reads one artifact per task (in the order of the

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acgd.store.atomic import replace_file
+from acgd.store.atomic import replace_text
 from acgd.store.key import canonical, file_digest
-from acgd.store.lock import held
+from acgd.store.lock import held, remove_with_lock
 
 MANIFEST, CHECKSUMS, RUN, METRICS = "manifest.json", "checksums.json", "run.json", "metrics.jsonl"
 NOT_PAYLOAD = (MANIFEST, CHECKSUMS, RUN)
@@ -53,6 +53,10 @@ class Store:
     def work(self, place: str) -> Path:
         return self.results / "work" / place
 
+    def lock(self, place: str) -> Path:
+        """Held by whoever makes or removes the artifact."""
+        return self.work(place) / "lock"
+
     def has(self, place: str) -> bool:
         return (self.path(place) / MANIFEST).is_file()
 
@@ -77,10 +81,13 @@ class Store:
         return _manifest(self.path(place))
 
     def make(self, place: str, identity: Mapping[str, Any], fill: Callable[[Workspace], Mapping[str, Any]]) -> bool:
-        """Has `fill` make the payload and publishes it; False where the artifact is there already. `fill` returns run.json."""
+        """Has `fill` make the payload and publishes it; False where the artifact is there already.
+
+        `fill` returns run.json.
+        """
         path, work = self.path(place), self.work(place)
         try:
-            with held(work / "lock", place):
+            with held(self.lock(place), place):
                 if self.has(place):
                     return False
                 if path.exists():
@@ -101,7 +108,20 @@ class Store:
             raise
 
     def remove(self, place: str) -> None:
-        """Takes the manifest first: half removed, it is no artifact any more."""
+        """Removes an artifact; waits for whoever is making it."""
+        with held(self.lock(place), place):
+            self._remove(place)
+
+    def free(self, place: str) -> bool:
+        """Removes an artifact and what is left of its making; False, at once, where it is being made."""
+        with held(self.lock(place), place, wait=False) as mine:
+            if mine:
+                self._remove(place)
+                remove_with_lock(self.lock(place))
+            return mine
+
+    def _remove(self, place: str) -> None:
+        """The manifest goes first: half removed, it is no artifact any more."""
         path = self.path(place)
         (path / MANIFEST).unlink(missing_ok=True)
         shutil.rmtree(path, ignore_errors=True)
@@ -119,8 +139,7 @@ class Store:
         _write_json(space.payload / RUN, run)
         for folder in (space.payload, *(entry for entry in space.payload.rglob("*") if entry.is_dir())):
             _sync_folder(folder)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        os.rename(space.payload, path)
+        _move(space.payload, path)
         _sync_folder(path.parent)
 
     def _declare(self, path: Path, place: str, identity: Mapping[str, Any]) -> None:
@@ -137,7 +156,8 @@ def check(path: Path) -> None:
     found = damages(path, manifest["payload"], read=False)
     if found:
         raise ArtifactError(
-            f"{path} is damaged: {'; '.join(found[:5])}. Type: python -m acgd verify --repair, then run the workflow again."
+            f"{path} is damaged: {'; '.join(found[:5])}. "
+            "Type: python -m acgd verify --repair, then run the workflow again."
         )
 
 
@@ -169,8 +189,9 @@ def is_disk_full(error: BaseException | None) -> bool:
 def disk_full(place: str, results: Path) -> ArtifactError:
     free = shutil.disk_usage(results).free / 2**20
     return ArtifactError(
-        f"{place}: the disk of {results.resolve()} is full ({free:.0f} MiB free). Nothing published is lost, and checkpoints are kept. "
-        "Make room (python -m acgd gc frees what no study names), then run the workflow again."
+        f"{place}: the disk of {results.resolve()} is full ({free:.0f} MiB free). Nothing published is lost, "
+        "and checkpoints are kept. Make room (python -m acgd gc frees what no study names), "
+        "then run the workflow again."
     )
 
 
@@ -195,7 +216,7 @@ def _checksums(path: Path) -> dict[str, Any]:
 
 
 def _workspace(work: Path) -> Workspace:
-    """The last maker's checkpoints stay; its half-written payload does not, nor curves that no checkpoint can go on from."""
+    """Keeps the last maker's checkpoints; removes its half-written payload, and curves without a checkpoint."""
     space = Workspace(work / "payload", work / "state", work / METRICS)
     shutil.rmtree(space.payload, ignore_errors=True)
     space.payload.mkdir(parents=True)
@@ -219,7 +240,19 @@ def _synced_digest(file: Path) -> dict[str, Any]:
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     text = json.dumps(json.loads(canonical(content)), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-    replace_file(path, lambda draft: draft.write_text(text, encoding="utf-8"))
+    replace_text(path, text)
+
+
+def _move(folder: Path, path: Path) -> None:
+    """Renames `folder`. Makes the parent of `path` again where the removal of another artifact has just taken it."""
+    while True:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.rename(folder, path)
+            return
+        except FileNotFoundError:
+            if not folder.exists():
+                raise
 
 
 def _sync_folder(folder: Path) -> None:

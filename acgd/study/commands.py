@@ -1,13 +1,13 @@
 """What a person does with the store: look, free, verify, mirror."""
 
-import shutil
+import contextlib
+import os
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from acgd.store.lock import held
 from acgd.store.store import MANIFEST, ArtifactError, Store, damages
 from acgd.study import names
 from acgd.study.load import ConfigError, read_yaml
@@ -51,7 +51,7 @@ def free(store: Store, files: Sequence[Path], yes: bool) -> None:
     freed = 0
     for place in sorted({*store.places(), *store.unfinished(), *store.in_work()} - kept):
         size = _size(store.path(place)) + _size(store.work(place))
-        if yes and not _freed(store, place):
+        if yes and not store.free(place):
             print(f"left alone, in the making: {place}")
             continue
         freed += size
@@ -59,15 +59,6 @@ def free(store: Store, files: Sequence[Path], yes: bool) -> None:
     if yes:
         names.prune_dangling(store)
     print(f"{_bytes(freed)} {'freed' if yes else 'to free. To do it, type the same with --yes.'}")
-
-
-def _freed(store: Store, place: str) -> bool:
-    """Removes an artifact and what was left of its making; False where it is being made just now."""
-    with held(store.work(place) / "lock", place, wait=False) as mine:
-        if mine:
-            store.remove(place)
-            shutil.rmtree(store.work(place), ignore_errors=True)
-        return mine
 
 
 def verify(store: Store, repair: bool) -> None:
@@ -139,7 +130,13 @@ def _users(plans: Iterable[Plan]) -> dict[str, list[str]]:
 
 
 def _size(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    """Bytes of all files. Those that vanish meanwhile do not count: another process may be making the artifact."""
+    size = 0
+    for place, _, files in os.walk(folder):
+        for file in files:
+            with contextlib.suppress(FileNotFoundError):
+                size += (Path(place) / file).stat().st_size
+    return size
 
 
 def _bytes(size: float) -> str:

@@ -5,32 +5,17 @@ q* <- clip(q* + stride m). The targets are MuJoCo's controls; m, and for how man
 its user data: the simulator's own state is all that an episode continues from.
 """
 
-from collections.abc import Callable
-
 import gymnasium
 import mujoco
 import numpy as np
 
-from acgd.tasks import spray
-from acgd.tasks.bottle import Bottle
 from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.scene import Scene
-from acgd.tasks.scissors import Scissors
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
-from acgd.tasks.switch import Switch
 from acgd.tasks.weights import merge_weights
-
-SCENES: dict[str, Callable[[], Scene]] = {
-    "spray-1": lambda: spray.SprayScene("spray-1"),
-    "spray-2": lambda: spray.SprayScene("spray-2"),
-    "bottle": Bottle,
-    "scissors": Scissors,
-    "switch": Switch,
-}
-"""By task kind."""
 
 SUBSTEPS = 8
 """Of 5 ms: 25 control steps a second."""
@@ -68,7 +53,8 @@ class DexterousTask(gymnasium.Env):
         reward_weights: dict[str, float] | None = None,
     ) -> None:
         self.task, self.config = spec, config
-        self.scene = scene = SCENES[spec.kind]()
+        scene: Scene = spec.code().SCENE()
+        self.scene = scene
         self.render_mode = "rgb_array"
         self.model = scene.model
         self.data = mujoco.MjData(self.model)
@@ -180,10 +166,9 @@ class DexterousTask(gymnasium.Env):
         """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:
-            from acgd.tasks.cameras import CAMERAS
-            from acgd.tasks.rendering import Renderer
+            from acgd.tasks.rendering.renderer import Renderer
 
-            self._renderers[size] = Renderer(self.model, camera=CAMERAS[self.task.kind], size=size)
+            self._renderers[size] = Renderer(self.model, camera=self.task.code().CAMERA, size=size)
         return self._renderers[size].render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from acgd.tasks import starts
+from acgd.tasks.myo_kind import MyoKind
 from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE, Snapshot
@@ -30,16 +31,6 @@ HAND_JOINTS = (
     "mcp5_flexion", "mcp5_abduction", "pm5_flexion", "md5_flexion",
 )  # fmt: skip
 """Order of the hand's 23 joints in `proprio`. The suite's models disagree on the order of the thumb's."""
-
-MODEL_FIELDS = {
-    "key-turn": ("body_pos",),
-    "obj-hold": ("site_pos", "site_size", "geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia",
-                 "body_subtreemass", "body_invweight0", "dof_invweight0", "body_ipos", "body_iquat"),
-    "pen-twirl": ("body_quat",),
-    "pose": ("site_pos",),
-    "reach": ("site_pos",),
-}  # fmt: skip
-"""Fields of mjModel that a reset writes: with the integration state they determine the episode."""
 
 FAR = 100.0
 """Metres or radians: an episode in which a joint gets this far ends, unsolved, with no reward in that step."""
@@ -66,6 +57,7 @@ class MyoDexTask(gymnasium.Env):
         reward_weights: dict[str, float] | None = None,
     ) -> None:
         self.task, self.config = spec, config
+        self.kind: MyoKind = spec.code().KIND
         self.base = _make_base(spec.gym_id)
         self.render_mode = "rgb_array"
         self.model, self.data = self.base.model, self.base.data
@@ -79,13 +71,9 @@ class MyoDexTask(gymnasium.Env):
         self._suite_draws_goal = spec.name.endswith("-hard")
         self.hand_qpos, self.hand_qvel = _hand_addresses(self.model)
         """Addresses of HAND_JOINTS in qpos and qvel."""
-        if spec.kind == "obj-hold":
-            self.base.nominal_goal = self.model.site_pos[self.base.goal_sid].copy()
-        elif spec.kind == "reach":
-            self.base.nominal_goal = np.array([span[0] for span in self.base.target_reach_range.values()])
-        elif spec.kind == "pose" and not self._suite_draws_goal:
-            self.base.nominal_goal = self.base.target_jnt_value.copy()
-        self._nominal_fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[spec.kind]}
+        if self.kind.nominal_goal and not self._suite_draws_goal:
+            self.base.nominal_goal = self.kind.nominal_goal(self.base)
+        self._nominal_fields = {f: getattr(self.model, f).copy() for f in self.kind.model_fields}
 
         self._renderers = {}
         self._image_size = image_size
@@ -103,7 +91,7 @@ class MyoDexTask(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Start an episode; the same seed gives the same start, whatever came before.
 
-        `options={"advance": x}` starts x of the way from there to the goal, for training; see `starts.ADVANCED_KINDS`.
+        `options={"advance": x}` starts x of the way from there to the goal, for training: of `ADVANCED_KINDS`.
         """
         super().reset(seed=seed)
         if seed is None:
@@ -113,9 +101,9 @@ class MyoDexTask(gymnasium.Env):
         self.base.reset(seed=seed)
         if self.config.start == "perturbed":
             rng = np.random.default_rng([seed, 1])
-            starts.perturb(self.task.kind, self.base, self.hand_qpos, rng, goal=not self._suite_draws_goal)
+            starts.perturb(self.kind, self.base, self.hand_qpos, rng, goal=not self._suite_draws_goal)
         if options and options.get("advance"):
-            starts.advance(self.task.kind, self.base, options["advance"])
+            self.kind.advance(self.base, options["advance"])
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
@@ -142,7 +130,7 @@ class MyoDexTask(gymnasium.Env):
         """The current state; `restore` continues from it bit for bit."""
         integration = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, integration, STATE)
-        fields = {f: getattr(self.model, f).copy() for f in MODEL_FIELDS[self.task.kind]}
+        fields = {f: getattr(self.model, f).copy() for f in self.kind.model_fields}
         if self.task.kind == "pose":
             fields["target_angles"] = np.asarray(self.base.target_jnt_value, np.float64).copy()
         return Snapshot(integration, fields, self.steps, self.success.solved_steps, self.success.last)
@@ -169,10 +157,9 @@ class MyoDexTask(gymnasium.Env):
         """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:
-            from acgd.tasks.cameras import CAMERAS
-            from acgd.tasks.rendering import Renderer
+            from acgd.tasks.rendering.renderer import Renderer
 
-            self._renderers[size] = Renderer(self.model, camera=CAMERAS[self.task.kind], size=size)
+            self._renderers[size] = Renderer(self.model, camera=self.task.code().CAMERA, size=size)
         return self._renderers[size].render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:
@@ -191,65 +178,7 @@ class MyoDexTask(gymnasium.Env):
             "hand_qvel": data.qvel[self.hand_qvel] * step,
             "act": data.act.copy(),
         }
-        return entries | _ENTRIES[self.task.kind](self.base, data, step)
-
-
-def _key_entries(base, data, step: float) -> dict[str, np.ndarray]:
-    key = data.site_xpos[base.keyhead_sid].copy()
-    return {
-        "key_qpos": data.qpos[-1:].copy(),
-        "key_qvel": data.qvel[-1:] * step,
-        "key_pos": key,
-        "IFtip_approach": key - data.site_xpos[base.IF_sid],
-        "THtip_approach": key - data.site_xpos[base.TH_sid],
-    }
-
-
-def _hold_entries(base, data, step: float) -> dict[str, np.ndarray]:
-    position, goal = data.site_xpos[base.object_sid].copy(), data.site_xpos[base.goal_sid].copy()
-    return {
-        "obj_pos": position,
-        "goal_pos": goal,
-        "obj_err": goal - position,
-        "obj_rot": data.site_xmat[base.object_sid][:6].copy(),
-        "obj_vel": data.qvel[-6:] * step,
-        "obj_size": base.model.geom_size[-1].copy(),
-    }
-
-
-def _pen_entries(base, data, step: float) -> dict[str, np.ndarray]:
-    position, goal = data.xpos[base.obj_bid].copy(), data.site_xpos[base.eps_ball_sid]
-    rotation = (data.site_xpos[base.obj_t_sid] - data.site_xpos[base.obj_b_sid]) / base.pen_length
-    wanted = (data.site_xpos[base.tar_t_sid] - data.site_xpos[base.tar_b_sid]) / base.tar_length
-    return {
-        "obj_pos": position,
-        "obj_vel": data.qvel[-6:] * step,
-        "obj_rot": rotation,
-        "obj_des_rot": wanted,
-        "obj_err_pos": position - goal,
-        "obj_err_rot": rotation - wanted,
-    }
-
-
-def _pose_entries(base, data, step: float) -> dict[str, np.ndarray]:
-    return {
-        "pose_err": base.target_jnt_value - data.qpos,
-        "target_tips": data.site_xpos[base.target_sids].ravel(),
-    }
-
-
-def _reach_entries(base, data, step: float) -> dict[str, np.ndarray]:
-    tips, targets = data.site_xpos[base.tip_sids].ravel(), data.site_xpos[base.target_sids].ravel()
-    return {"tip_pos": tips, "target_pos": targets, "reach_err": targets - tips}
-
-
-_ENTRIES = {
-    "key-turn": _key_entries,
-    "obj-hold": _hold_entries,
-    "pen-twirl": _pen_entries,
-    "pose": _pose_entries,
-    "reach": _reach_entries,
-}
+        return entries | self.kind.entries(self.base, data, step)
 
 
 def _make_base(gym_id: str):

@@ -1,5 +1,6 @@
 """How to make a task."""
 
+from acgd.settings import imported
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
@@ -13,8 +14,4 @@ def make(task: TaskConfig | str, *, image_size: int | None = 84, reward_weights:
     """
     config = TaskConfig(name=task) if isinstance(task, str) else task
     spec = TASKS[config.name]
-    if spec.suite == "myo":
-        from acgd.tasks.myodex import MyoDexTask as Task
-    else:
-        from acgd.tasks.dexterous import DexterousTask as Task
-    return Task(spec, config, image_size=image_size, reward_weights=reward_weights)
+    return imported(spec.environment)(spec, config, image_size=image_size, reward_weights=reward_weights)

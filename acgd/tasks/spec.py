@@ -1,6 +1,8 @@
 """Every task by name, as the pipeline sees it. Importing this loads no simulator."""
 
 from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
 
 
 @dataclass(frozen=True)
@@ -12,7 +14,7 @@ class TaskSpec:
     suite: str
     """Tasks of a suite share their action and proprio spaces."""
     kind: str
-    """Which state layout, start distribution and camera it has: `key-turn`, `obj-hold`, ..."""
+    """Which state layout, start distribution and camera it has: `key-turn` stands in acgd/tasks/kinds/key_turn.py."""
     gym_id: str | None
     """MyoSuite's own environment; None in the suites that are built here."""
     horizon: int
@@ -27,6 +29,27 @@ class TaskSpec:
         """The name as part of a path: `myo-key-turn`."""
         return self.name.replace("/", "-")
 
+    @property
+    def module(self) -> str:
+        """The module of its kind: `acgd.tasks.kinds.key_turn`."""
+        return f"acgd.tasks.kinds.{self.kind.replace('-', '_')}"
+
+    @property
+    def environment(self) -> str:
+        """Import string of its Gymnasium environment."""
+        return ENVIRONMENTS[self.suite]
+
+    def code(self) -> ModuleType:
+        """The imported module of its kind: `CAMERA`, and `KIND` (MyoKind) or `SCENE` (makes a Scene). Loads MuJoCo."""
+        return import_module(self.module)
+
+
+ENVIRONMENTS = {
+    "myo": "acgd.tasks.myodex:MyoDexTask",
+    "bidex": "acgd.tasks.dexterous:DexterousTask",
+    "opdex": "acgd.tasks.dexterous:DexterousTask",
+}
+"""By suite."""
 
 _KEY = ("key_qpos", "key_pos")
 _HOLD = ("obj_pos", "goal_pos")
@@ -175,5 +198,8 @@ _SPECS = (
         "fixed: hold the trigger of a box-shaped bottle; the bottle's place and yaw are in the image",
     ),
 )
+
+ADVANCED_KINDS = ("key-turn", "pose")
+"""Kinds with starts on the way to the goal: their `KIND.advance` makes them."""
 
 TASKS: dict[str, TaskSpec] = {spec.name: spec for spec in _SPECS}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from acgd.tasks import allegro
+from acgd.tasks.robots import allegro
 from acgd.tasks.scene import NEAR, Robot, Touch, closeness, compiled, rest
 
 
@@ -30,11 +30,6 @@ class Bottle:
         """Height at which body ends and neck begins."""
         return 2 * self.half[2]
 
-
-BOTTLES: dict[str, Bottle] = {
-    "spray-1": Bottle((0.036, 0.036, 0.075), True, 0.016, 0.060),
-    "spray-2": Bottle((0.045, 0.032, 0.055), False, 0.018, 0.070),
-}
 
 REACH_OUT = 0.05
 TRAVEL = 0.5
@@ -64,16 +59,14 @@ PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE = 0.05, 0.5, 0.05
 
 
 class SprayScene:
-    """One of BOTTLES, a table and an Allegro hand."""
+    """A bottle, a table and an Allegro hand."""
 
     weights = {"palm": 0.5, "fingers": 0.5, "grip": 0.5, "trigger": 3.0, "tilt": -2.0}
     hold_steps = HOLD_STEPS
 
-    def __init__(self, variant: str) -> None:
-        if variant not in BOTTLES:
-            raise ValueError(f"there is no bottle {variant!r}; the bottles are {', '.join(BOTTLES)}")
-        self.bottle = BOTTLES[variant]
-        self.model = model = _build(self.bottle)
+    def __init__(self, bottle: Bottle) -> None:
+        self.bottle = bottle
+        self.model = model = _build(bottle)
         self.robot = Robot.of(model, list(allegro.JOINTS), allegro.stride(model))
         self._tips = [model.site(name).id for name in allegro.TIPS]
         self._neck, self._grip, self._palm = model.site("neck").id, model.site("trigger").id, model.site("grasp").id

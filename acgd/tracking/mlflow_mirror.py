@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from acgd.tracking.metrics import read
+from acgd.store.metrics import read
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient

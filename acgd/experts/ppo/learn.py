@@ -19,7 +19,7 @@ from acgd.experts.ppo.settings import PPOSettings
 from acgd.experts.settings import ExpertRequest
 from acgd.experts.training_env import StateOnly
 from acgd.store import checkpoint
-from acgd.tracking.metrics import Metrics
+from acgd.store.metrics import Metrics
 
 
 def train_ppo(

@@ -5,9 +5,11 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from acgd.tasks import shadow
+from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, Touch, closeness, compiled
 
+CAMERA = Camera((0.08, -0.6, 0.55), 0.42, -50.0, -30.0)
 PLACE, PITCH = (0.0, -0.6, 0.5), -0.7
 """Of the bottle, metres and radians: the middle of its wide part, where it is held, and its cap pointing to +x and upwards."""
 QUAT = (np.cos(PITCH / 2.0), 0.0, np.sin(PITCH / 2.0), 0.0)
@@ -183,3 +185,6 @@ def _hand_places() -> tuple[shadow.HandPlace, shadow.HandPlace]:
     left = shadow.HandPlace((0, 0, 0), tuple(down * BACK - level * ahead), tuple(level * BACK + down * ahead))
     at_neck = PLACE + CAP_PLACE * AXIS - _in_world(IN_RIGHT, right)
     return replace(right, palm=tuple(at_neck - _to_neck())), replace(left, palm=tuple(PLACE - _in_world(IN_LEFT, left)))
+
+
+SCENE = Bottle

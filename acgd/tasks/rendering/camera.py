@@ -1,4 +1,4 @@
-"""Where each task is seen from.
+"""Where a task is seen from. Each kind of task has its `CAMERA` in its file in acgd/tasks/kinds/.
 
 The paper's camera, `hand_side_inter`, shows the hand from half a metre: at 84 px it is 25 px long, PenTwirl's target
 hides the hand, and a centimetre is less than two pixels. These are closer (2.6 to 5 mm a pixel) and show goal
@@ -36,18 +36,3 @@ class Camera:
         camera.lookat[:] = self.lookat
         camera.distance, camera.azimuth, camera.elevation = self.distance, self.azimuth, self.elevation
         return camera
-
-
-CAMERAS: dict[str, Camera] = {
-    "key-turn": Camera((-0.16, -0.555, 1.42), 0.29, 100.0, -40.0),
-    "obj-hold": Camera((-0.23, -0.53, 1.43), 0.26, 130.0, -50.0),
-    "pen-twirl": Camera((-0.125, -0.53, 1.40), 0.50, 90.0, -50.0),
-    "pose": Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0),
-    "reach": Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0),
-    "bottle": Camera((0.08, -0.6, 0.55), 0.42, -50.0, -30.0),
-    "scissors": Camera((0.05, 0.0, 0.64), 0.7, 0.0, -50.0),
-    "switch": Camera((0.02, 0.0, 0.71), 0.68, 0.0, -33.0),
-    "spray-1": Camera((0.0, -0.08, 0.145), 0.46, 238.0, -34.0),
-    "spray-2": Camera((0.0, -0.08, 0.125), 0.46, 238.0, -34.0),
-}
-"""By task kind."""

@@ -3,9 +3,11 @@
 import mujoco
 import numpy as np
 
-from acgd.tasks import shadow
+from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, closeness, compiled
 
+CAMERA = Camera((0.05, 0.0, 0.64), 0.7, 0.0, -50.0)
 TABLE = 0.6
 """Height of the table, metres."""
 CLOSED, OPEN = -0.59, -0.3
@@ -122,3 +124,6 @@ def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, c
             type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(HALF, 0, 0), pos=place, mass=0.001, rgba=colour, **shadow.OBJECT
         )
     body.add_site(name=f"handle/{side}", pos=hinge + np.array(GRIP) * (1.0, sign, 1.0), group=5)
+
+
+SCENE = Scissors

@@ -3,9 +3,11 @@
 import mujoco
 import numpy as np
 
-from acgd.tasks import shadow
+from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, closeness, compiled
 
+CAMERA = Camera((0.02, 0.0, 0.71), 0.68, 0.0, -33.0)
 TABLE = 0.55
 """Height of the table, metres."""
 OFF = 0.5585
@@ -115,3 +117,6 @@ def _build() -> mujoco.MjSpec:
     right, left = (shadow.HandPlace((0.26, y, 0.81), fingers=ahead, back=up) for y in (0.2, -0.2))
     shadow.add_hands(spec, right, left)
     return spec
+
+
+SCENE = Switch

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from acgd.store.atomic import replace_text
+
 Row = dict[str, Any]
 """{"step": int, name: float, ...}"""
 
@@ -20,14 +22,14 @@ _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 class Metrics:
-    """Appends rows to `path`. A stage that checkpoints calls `flush` there, and `rewind(step)` when it goes on from one."""
+    """Appends rows to `path`. A stage that checkpoints calls `flush` there, and `rewind(step)` when it resumes."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         self._pending: list[str] = []
 
     def log(self, step: int, **values: float) -> None:
-        """Adds one row. Values are Python, numpy or torch scalars; non-finite ones are kept, as "nan", "inf", "-inf"."""
+        """Adds one row. Values are Python, numpy or torch scalars; non-finite ones are kept as "nan", "inf", "-inf"."""
         row: Row = {"step": int(step)}
         for name, value in values.items():
             row[name] = _encode(float(value))
@@ -52,12 +54,7 @@ class Metrics:
         if not self.path.exists():
             return
         kept = [line for line in _whole_lines(self.path) if json.loads(line)["step"] <= step]
-        draft = self.path.with_name(self.path.name + ".tmp")
-        with open(draft, "w", encoding="utf-8") as file:
-            file.write("".join(kept))
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(draft, self.path)
+        replace_text(self.path, "".join(kept))
 
     def __enter__(self) -> Self:
         return self

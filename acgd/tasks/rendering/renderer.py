@@ -12,9 +12,9 @@ import hashlib
 import mujoco
 import numpy as np
 
-from acgd.tasks import gl
-from acgd.tasks.cameras import Camera
-from acgd.tasks.meshes import decimated
+from acgd.tasks.rendering import gl
+from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.rendering.meshes import decimated
 
 FACES_PER_MESH = 64
 """At 84 px a bone covers a few dozen pixels; more faces than that do not show."""
