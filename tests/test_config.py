@@ -156,7 +156,7 @@ def test_without_a_zoo_expert_the_tasks_that_have_one_are_named(tmp_path, monkey
         ),
         (
             {"tasks": ["myo/key-turn"], "expert": {"kind": "ppo"}, "critic": {"kind": "expert"}},
-            "critic.kind: the expert of myo/key-turn will.*sac",
+            "critic.kind: the expert that is trained for myo/key-turn.*sac",
         ),
         (
             {"tasks": ["myo/reach"], "expert": {"kind": "ppo", "warm_start": "myo/flip"}},

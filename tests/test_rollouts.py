@@ -14,7 +14,7 @@ from acgd.collection.settings import OnPolicyRequest, RolloutsConfig, RolloutsRe
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.rerender import rerender
-from acgd.rollouts.settings import RoundsConfig
+from acgd.students.settings import RoundsConfig
 from acgd.rollouts.store import DamagedStoreError, read_attributes, read_group, write_group
 from acgd.rollouts.windows import Windows
 from acgd.simulate.lockstep import Lockstep

@@ -4,9 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from acgd.rollouts.settings import RoundsConfig
 from acgd.settings import Request, Section
-from acgd.students.settings import ActingConfig
+from acgd.students.settings import ActingConfig, RoundsConfig
 from acgd.tasks.settings import ImageConfig, TaskConfig
 
 
@@ -40,8 +39,8 @@ class RolloutsRequest(Request):
     """What the stage `rollouts` depends on, besides the expert."""
 
     task: TaskConfig
-    image: ImageConfig
-    rollouts: RolloutsConfig
+    image: ImageConfig = Field(ImageConfig(), description="Pictures of all tasks.")
+    rollouts: RolloutsConfig = Field(RolloutsConfig(), description="Stage `rollouts`, one artifact per task.")
 
 
 class OnPolicyRequest(Request):
@@ -49,7 +48,7 @@ class OnPolicyRequest(Request):
 
     task: TaskConfig
     image: ImageConfig
-    acting: ActingConfig
+    acting: ActingConfig = Field(ActingConfig(), description="How students act, in rounds and in evaluations.")
     rounds: RoundsConfig
     round: int = Field(ge=1, description="Number of the round. The student is that of the round before.")
     seed: int = Field(ge=0, description="Seed of the student. Students of different seeds begin at different episodes.")

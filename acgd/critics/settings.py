@@ -167,7 +167,7 @@ class CriticRequest(Request):
     """What the critic of one task depends on, besides the expert's artifact."""
 
     task: TaskConfig
-    critic: CriticConfig = Field(default_factory=FQESettings)
+    critic: CriticConfig = Field(FQESettings(), description="Stage `critic`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
         """The critic in zoo/, where it is taken from there."""
@@ -204,4 +204,4 @@ class QualityRequest(Request):
     """What the quality of a critic depends on, besides the artifacts of critic and expert."""
 
     task: TaskConfig
-    quality: QualityConfig = QualityConfig()
+    quality: QualityConfig = Field(QualityConfig(), description="Stage `quality`, one artifact per task.")

@@ -61,10 +61,12 @@ class EvaluationRequest(Request):
     """What the episodes of one student under one condition depend on, besides student and backbone."""
 
     tasks: tuple[TaskConfig, ...] = Field(min_length=1)
-    image: ImageConfig
-    evaluation: EvaluationConfig
+    image: ImageConfig = ImageConfig()
+    evaluation: EvaluationConfig = Field(
+        EvaluationConfig(), description="Stage `evaluation`, one artifact per student and condition."
+    )
     condition: Condition
-    acting: ActingConfig
+    acting: ActingConfig = ActingConfig()
     seed: int = Field(description="Seed of the student, recorded in the summary.")
 
     @model_validator(mode="after")
@@ -108,4 +110,4 @@ class ControlsRequest(Request):
     """What the controls depend on, besides demonstrations and experts."""
 
     tasks: tuple[TaskConfig, ...] = Field(min_length=1)
-    controls: ControlsConfig
+    controls: ControlsConfig = Field(ControlsConfig(), description="Stage `controls`, one artifact.")

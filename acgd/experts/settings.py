@@ -41,7 +41,7 @@ class ExpertRequest(Request):
     """What an expert depends on."""
 
     task: TaskConfig
-    expert: ExpertConfig = Field(default_factory=ZooSettings)
+    expert: ExpertConfig = Field(ZooSettings(), description="Stage `expert`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
         """What it is copied from, or what its training starts from."""
@@ -62,8 +62,8 @@ class CardRequest(Request):
     """What an expert's card depends on, besides the expert."""
 
     task: TaskConfig
-    expert: ExpertConfig = Field(default_factory=ZooSettings)
-    card: CardConfig = CardConfig()
+    expert: ExpertConfig = ZooSettings()
+    card: CardConfig = Field(CardConfig(), description="Stage `card`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
         """Card and learning curve of an expert that was trained elsewhere."""

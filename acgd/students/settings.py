@@ -4,8 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from acgd.guidance.critic.settings import CriticGuidanceConfig
 from acgd.guidance.settings import GuidanceConfig
 from acgd.settings import OUTSIDE_KEY, Request, Section, one_of
+from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.kinds import STUDENTS
 from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
@@ -60,8 +62,8 @@ class CodebookRequest(Request):
     """What one codebook depends on besides its inputs."""
 
     tasks: list[TaskConfig]
-    imitation: ImitationConfig
-    student: StudentConfig
+    imitation: ImitationConfig = Field(ImitationConfig(), description="The same for every kind of student.")
+    student: StudentConfig = ACGDConfig()
     seed: Annotated[int, Field(ge=0)]
 
 
@@ -69,10 +71,10 @@ class StudentRequest(Request):
     """What the student of one round depends on besides its inputs."""
 
     tasks: list[TaskConfig]
-    imitation: ImitationConfig
-    student: StudentConfig
-    training: TrainingConfig
-    guidance: GuidanceConfig
+    imitation: ImitationConfig = ImitationConfig()
+    student: StudentConfig = Field(ACGDConfig(), description="Architecture of the student, one artifact per student seed.")
+    training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of the student, of any kind.")
+    guidance: GuidanceConfig = Field(CriticGuidanceConfig(), description="What trains a student besides imitation.")
     rounds: RoundsConfig | None = None
     """None in round 0, which learns from demonstrations alone."""
     round: Annotated[int, Field(ge=0)] = 0

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from acgd.settings import Request, Section, one_of
 from acgd.vision.kinds import BACKBONES
+from acgd.vision.privileged.settings import PrivilegedConfig
 
 BackboneConfig = one_of(BACKBONES, default="privileged")
 """Settings of one kind. `needs`: optional stages that it reads. `gives_features`: whether it encodes frames."""
@@ -14,7 +15,7 @@ BackboneConfig = one_of(BACKBONES, default="privileged")
 class BackboneRequest(Request):
     """What the stage `backbone` depends on besides its inputs."""
 
-    backbone: BackboneConfig
+    backbone: BackboneConfig = Field(PrivilegedConfig(), description="Stage `backbone`, one artifact.")
 
     def uses(self, stage: str) -> bool:
         """Rollouts, where the backbone is trained on them."""
@@ -38,4 +39,9 @@ class FeaturesConfig(Section):
 class FeaturesRequest(Request):
     """What the stage `features` depends on besides its inputs."""
 
-    features: FeaturesConfig
+    features: FeaturesConfig = Field(FeaturesConfig(), description="Stage `features`, one artifact per task.")
+    backbone: BackboneConfig = PrivilegedConfig()
+
+    def exists(self) -> bool:
+        """Whether the backbone is frozen, so that it encodes frames."""
+        return self.backbone.gives_features
