@@ -1,4 +1,4 @@
-"""Evaluation: intervals against known values, episodes that depend on nothing but their seed, controls, goals, clips."""
+"""Evaluation: intervals against known values, episodes that depend on their seed alone, policies, controls, goals."""
 
 import filecmp
 import io
@@ -454,7 +454,7 @@ def student(tmp_path_factory) -> Path:
 
 
 def test_acting_gives_a_student_the_inputs_of_its_training(artifacts, tmp_path, monkeypatch):
-    """A stored demonstration, replayed: history of proprioception, features of image and goal, and task are Data.batch's."""
+    """A replayed demonstration: history of proprio, features of image and goal, and task are those of Data.batch."""
     torch.manual_seed(1)
     backbone = SmallCNN(16).eval().requires_grad_(False)
     features = []
@@ -537,9 +537,9 @@ def test_the_stages_evaluate_and_film_and_resume_to_the_same_bytes(artifacts, st
     for name in ("films", "again"):
         clips(ClipsRequest(tasks=(PEN, HOLD)), {"evaluation": out}, context(tmp_path / name))
     films = sorted((tmp_path / "films/out").glob("*.mp4"))
-    assert [film.name for film in films] == ["myo-obj-hold-failure.mp4", "myo-pen-twirl-failure.mp4"]
-    for film in films:
-        frames, seconds = count_frames_and_secs(str(film))
+    assert [path.name for path in films] == ["myo-obj-hold-failure.mp4", "myo-pen-twirl-failure.mp4"]
+    for path in films:
+        frames, seconds = count_frames_and_secs(str(path))
         assert frames > 10 and seconds > 0.5
     assert same_files(tmp_path / "films/out", tmp_path / "again/out")
 

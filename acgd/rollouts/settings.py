@@ -22,7 +22,7 @@ class RoundsConfig(Section):
     )
     labels: Literal["expert", "none"] = Field(
         "expert",
-        description="expert: the expert's mean is stored for every visited state, and imitated (DAgger). none: episodes "
-        "are stored without labels.",
+        description="expert: the expert's mean is stored for every visited state, and imitated (DAgger). none: "
+        "episodes are stored without labels.",
     )
     steps: int = Field(1000, ge=1, description="Optimiser steps of the student in a later round.")
