@@ -10,6 +10,9 @@ import torch
 from imageio_ffmpeg import count_frames_and_secs, read_frames
 from scipy.stats import binomtest
 
+from acgd.collection import onpolicy
+from acgd.collection.onpolicy import collect as collect_on_policy
+from acgd.collection.settings import OnPolicyRequest
 from acgd.evaluation.clips import clips, film, write_mp4
 from acgd.evaluation.controls import CONTROLS, controls, nearest, replay, replay_nearest
 from acgd.evaluation.episodes import Episode, Label, read, read_actions, run, run_batch, seeds_of
@@ -27,6 +30,7 @@ from acgd.evaluation.settings import (
 from acgd.evaluation.summary import success_rows
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
+from acgd.rollouts.settings import RoundsConfig
 from acgd.rollouts.store import write_group
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import (
@@ -45,7 +49,7 @@ from acgd.simulate.policy import (
 )
 from acgd.simulate.record import Episodes
 from acgd.simulate.roll import Recorder, roll
-from acgd.simulate.seeds import SEEDS
+from acgd.simulate.seeds import SEEDS, round_seeds
 from acgd.store.stage import Context
 from acgd.students.codebook import Sizes
 from acgd.students.data import Data
@@ -575,6 +579,36 @@ def test_every_condition_labels_its_episodes(artifacts, student, tmp_path, condi
     labels = {e.label for e in read(tmp_path / "out/episodes.jsonl")}
     start = condition.start or "perturbed"
     assert labels == {Label("none", task.name, condition.goal, condition.image_features, start) for task in (PEN, HOLD)}
+
+
+def test_a_shuffled_image_of_the_only_nominal_start_is_refused(artifacts, student, tmp_path):
+    inputs = {"student": student, "backbone": tmp_path, **artifacts}
+    request = evaluation_request(Condition(image_features="shuffled", start="nominal"), episodes=2)
+    with pytest.raises(ValueError, match="leave out start: nominal"):
+        evaluate(request, inputs, context(tmp_path))
+
+
+def test_an_on_policy_round_of_a_student(artifacts, student, tmp_path):
+    """What the student does in a round is what it does from the same seeds in an evaluation."""
+    request = OnPolicyRequest(
+        task=HOLD,
+        image=IMAGE,
+        acting=ActingConfig(),
+        rounds=RoundsConfig(episodes=3, beta=0.0),
+        round=1,
+        seed=2,
+    )
+    inputs = {"student": student, "backbone": tmp_path, "rollouts": artifacts["rollouts"][1]}
+    collect_on_policy(request, inputs | {"expert": artifacts["expert"][1]}, context(tmp_path))
+    found = Demonstrations.load(tmp_path / "out", ["action", "image", "mean_action", "by_expert"])
+    seeds = round_seeds(2, 1, 3)
+    assert found.seeds.tolist() == seeds and not found.arrays["by_expert"].any()
+    acting = load_policy(student, tmp_path, ActingConfig(), torch.device("cpu"), rows=onpolicy.LOCKSTEP)
+    recorder, goals = Episodes(), training_goals(artifacts["rollouts"][1], seeds)
+    roll(Lockstep(HOLD, 3, image_size=IMAGE.size), acting, seeds, task=1, goals=goals, recorders=[recorder])
+    for name in ("action", "image"):
+        expected = np.concatenate([episode[name] for episode in recorder.episodes()])
+        assert np.array_equal(found.arrays[name], expected)
 
 
 # -- controls ------------------------------------------------------------------------------------

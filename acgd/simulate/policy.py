@@ -241,6 +241,11 @@ class ShuffledImages:
         self.policy = policy
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
+        if len(seeds) < 2:
+            raise ValueError(
+                "image_features: shuffled has one episode alone in a batch: change evaluation.episodes or "
+                "evaluation.lockstep, or leave out start: nominal, from which a Fixed task has one episode"
+            )
         return self.policy.start(tasks, goals, seeds)
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:

@@ -52,7 +52,8 @@ class DexterousTask(gymnasium.Env):
 
     Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` float32: the robot's joint
     positions, velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,)
-    float32: proprio, the steps for which the goal has been met, and everything about the object, named by `state_layout`.
+    float32: proprio, the steps for which the goal has been met, and everything about the object, named by
+    `state_layout`.
 
     Actions: (A,) in [-1, 1], in the order of the model's actuators.
     """
