@@ -30,7 +30,6 @@ from acgd.evaluation.settings import (
 from acgd.evaluation.summary import success_rows
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
-from acgd.rollouts.settings import RoundsConfig
 from acgd.rollouts.store import write_group
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import (
@@ -54,7 +53,7 @@ from acgd.store.stage import Context
 from acgd.students.codebook import Sizes
 from acgd.students.data import Data
 from acgd.students.load import load_policy
-from acgd.students.settings import ActingConfig, CodebookConfig
+from acgd.students.settings import ActingConfig, CodebookConfig, RoundsConfig
 from acgd.students.student import Student
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig

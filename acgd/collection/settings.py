@@ -4,9 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from acgd.rollouts.settings import RoundsConfig
 from acgd.settings import Request, Section
-from acgd.students.settings import ActingConfig
+from acgd.students.settings import ActingConfig, RoundsConfig
 from acgd.tasks.settings import ImageConfig, TaskConfig
 
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from acgd.settings import Section
+from acgd.settings import OUTSIDE_KEY, Section
 from acgd.tasks.settings import TaskConfig
 from acgd.vision.settings import BackboneConfig
 
@@ -115,6 +115,21 @@ class ActingConfig(Section):
         "or take each new chunk's first action; or execute whole chunks",
     )
     eta: NonNegative = Field(2.0, description="eta of the ensembling weights exp(-eta i)")
+
+
+class RoundsConfig(Section):
+    """On-policy rounds: the student acts, and goes on learning from the states that it visits."""
+
+    count: int = Field(0, ge=0, le=100, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
+    episodes: int = Field(10, ge=1, le=10_000, description="episodes of each task in each round")
+    beta: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.5, description="with probability beta ** round the expert acts in place of the student"
+    )
+    labels: Literal["expert", "none"] = Field(
+        "expert",
+        description="expert: imitate the expert's mean in visited states (DAgger); none: guidance alone trains on them",
+    )
+    steps: int = Field(1000, ge=1, description="optimiser steps of each round, in place of training.steps")
 
 
 class CodebookRequest(Section):
