@@ -1,4 +1,5 @@
-"""Environment steps per second while demonstrations are recorded, with images and without: `python -m benchmarks.collecting`."""
+"""Environment steps per second while demonstrations are recorded, with images and without:
+`python -m benchmarks.collecting`."""
 
 import time
 

@@ -26,7 +26,7 @@ STEPS = 60
 
 
 def run() -> list[Row]:
-    """Environment steps per second: physics alone, with images, and with an untrained student of the default size acting on them."""
+    """Environment steps per second: physics alone, with images, and with an untrained student of the default size."""
     torch.set_num_threads(1)
     size, pixels = EvaluationConfig().lockstep, ImageConfig().size
     blind, seeing = Lockstep(TASK, size, image_size=None), Lockstep(TASK, size, image_size=pixels)
@@ -50,7 +50,7 @@ def run() -> list[Row]:
 
 
 class Still:
-    """Holds still, and computes what `policy` would do. An untrained student would drop the object, and episodes would end."""
+    """Holds still, and computes what `policy` would do: an untrained student would drop the object and end episodes."""
 
     def __init__(self, actions: int, policy: Policy | None = None) -> None:
         self.actions, self.policy = actions, policy

@@ -1,8 +1,9 @@
 """How far the order of a state's actions can be known at all: `python -m benchmarks.ranking`, or with names of tasks.
 
-Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic: sixteen
-actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is smooth in the
-state cannot follow. And what decides may come later than the branches that a critic is fitted to.
+Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic:
+sixteen actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is
+smooth in the state cannot follow. And the difference may arise later than the end of the branches that a critic is
+fitted to.
 """
 
 import sys

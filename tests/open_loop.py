@@ -39,16 +39,16 @@ _HOOK = _bend(1.4, ("FF", "MF"), ("J1", "J2"))
 
 SOLUTIONS: dict[str, tuple[Posture, ...]] = {
     "opdex/spray-1": (
-        Posture(40, _allegro((-0.03, -0.03, 0.01, -0.12, -0.10, 0.04), (0.08, 0.07, 0.16, 0.16), (0.04, 0.04, 0.59, 0.53),
-                             (0.08, 0.13, 0.32, 0.44), (1.10, 0.50, 0.03, 0.26))),
+        Posture(40, _allegro((-0.03, -0.03, 0.01, -0.12, -0.10, 0.04), (0.08, 0.07, 0.16, 0.16),
+                             (0.04, 0.04, 0.59, 0.53), (0.08, 0.13, 0.32, 0.44), (1.10, 0.50, 0.03, 0.26))),
         Posture(60, _allegro((0, 0, 0.01, 0.11, 0.06, 0.20), (0.21, 0.43, 1.18, 0.85), (0, 1.06, 1.24, 0.75),
                              (-0.37, 0.52, 0.85, 0.54), (1.28, 0.70, 1.01, 0.64)), 0.5),
     ),
     "opdex/spray-2": (
-        Posture(40, _allegro((-0.02, -0.04, -0.03, -0.06, -0.17, 0.03), (0.14, 0.01, 0.73, 0.46), (-0.07, 0.12, 0.52, -0.11),
-                             (-0.10, -0.04, 0.65, 0.31), (0.93, 0.40, 0.23, 0.17))),
-        Posture(60, _allegro((-0.01, -0.01, -0.01, -0.09, 0.09, 0.17), (-0.19, 0.65, 1.42, 1.07), (0.08, 0.89, 1.28, 0.89),
-                             (-0.07, 0.50, 0.88, 0.80), (1.38, 0.47, 0.82, 0.26)), 0.5),
+        Posture(40, _allegro((-0.02, -0.04, -0.03, -0.06, -0.17, 0.03), (0.14, 0.01, 0.73, 0.46),
+                             (-0.07, 0.12, 0.52, -0.11), (-0.10, -0.04, 0.65, 0.31), (0.93, 0.40, 0.23, 0.17))),
+        Posture(60, _allegro((-0.01, -0.01, -0.01, -0.09, 0.09, 0.17), (-0.19, 0.65, 1.42, 1.07),
+                             (0.08, 0.89, 1.28, 0.89), (-0.07, 0.50, 0.88, 0.80), (1.38, 0.47, 0.82, 0.26)), 0.5),
     ),
     "bidex/switch": (Posture(125, _shadow(_PRESS, _PRESS)),),
     "bidex/scissors": (
@@ -62,8 +62,9 @@ SOLUTIONS: dict[str, tuple[Posture, ...]] = {
         Posture(90, _shadow(_NECK | _HOOK | {"x": -0.01, "z": 0.09}, bottle.HOLDING)),
     ),
 }  # fmt: skip
-"""OpDex: found by the cross-entropy method, but for the order of things: beside the neck, then closed around it. BiDex: by hand.
-Fingers on the rockers and down; fingers over the handles, into them, and apart; behind the neck, hooked around it, and away with the cap."""
+"""OpDex: by the cross-entropy method, with the order given: beside the neck, then closed around it. BiDex: by hand.
+Fingers on the rockers and down; fingers over the handles, into them, and apart; behind the neck, hooked around it, and
+away with the cap."""
 
 
 def follow(env, postures: tuple[Posture, ...]) -> tuple[np.ndarray, dict]:

@@ -183,7 +183,10 @@ def test_a_missing_hand_names_the_mend(monkeypatch, found):
 
 def test_gymnasium_robotics_is_never_imported():
     """It would register environments of its own."""
-    script = "import sys; from acgd.tasks import registry; registry.make('bidex/switch', image_size=None); print('gymnasium_robotics' in sys.modules)"
+    script = (
+        "import sys; from acgd.tasks import registry; registry.make('bidex/switch', image_size=None); "
+        "print('gymnasium_robotics' in sys.modules)"
+    )
     assert (
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
         == "False"

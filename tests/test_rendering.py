@@ -112,7 +112,7 @@ def test_another_process_draws_the_same_bytes(envs):
         ("key-turn", lambda env: env.model.body_pos[env.model.body("key").id].__iadd__([0, 0, 0.02])),
         ("obj-hold", lambda env: env.model.site_pos[env.model.site("goal").id].__iadd__([0.01, 0, 0])),
         ("obj-hold", lambda env: env.model.geom_size[-1].__imul__(0.7)),
-        ("pen-twirl", lambda env: env.model.body_quat[env.model.body("target").id].__setitem__(slice(None), [1, 0, 0, 0])),
+        ("pen-twirl", lambda env: np.copyto(env.model.body_quat[env.model.body("target").id], [1, 0, 0, 0])),
         ("pose", lambda env: env.model.site_pos[env.model.site("IFtip_r_target").id].__iadd__([0, 0, 0.02])),
         ("reach", lambda env: env.model.site_pos[env.model.site("THtip_r_target").id].__iadd__([0, 0, 0.02])),
     ],

@@ -14,13 +14,12 @@ from acgd.collection.settings import OnPolicyRequest, RolloutsConfig, RolloutsRe
 from acgd.experts.policy import Expert
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.rerender import rerender
-from acgd.students.settings import RoundsConfig
 from acgd.rollouts.store import DamagedStoreError, read_attributes, read_group, write_group
 from acgd.rollouts.windows import Windows
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS, round_seeds
 from acgd.store.stage import Context
-from acgd.students.settings import ActingConfig
+from acgd.students.settings import ActingConfig, RoundsConfig
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.store.metrics import Metrics

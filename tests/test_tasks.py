@@ -73,7 +73,10 @@ def test_nominal_start_of_fixed_tasks_is_one_state(name):
 
 
 def test_perturbation_does_not_outlive_its_episode():
-    perturbed, nominal = registry.make("myo/obj-hold", image_size=None), TaskConfig(name="myo/obj-hold", start="nominal")
+    perturbed, nominal = (
+        registry.make("myo/obj-hold", image_size=None),
+        TaskConfig(name="myo/obj-hold", start="nominal"),
+    )
     goals = {s: perturbed.reset(seed=s)[0]["state"][perturbed.state_layout["goal_pos"]] for s in (1, 2, 3)}
     centre = registry.make(nominal, image_size=None)
     middle = centre.reset(seed=0)[0]["state"][centre.state_layout["goal_pos"]]

@@ -31,7 +31,8 @@ class RolloutsConfig(Section):
     lockstep: int = Field(
         10,
         ge=1,
-        description="Episodes run side by side, with one batched inference. Batching can change the last bit of an action.",
+        description="Episodes run side by side, with one batched inference. Batching can change the last bit of an "
+        "action.",
     )
 
 

@@ -1,4 +1,4 @@
-"""What the frozen expert meets: rollouts, clean and perturbed, failures kept, and branches off the states that they pass."""
+"""Rollouts of the frozen expert, clean and perturbed, failures kept, and branches off the states that they pass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from acgd.store.progress import Bar
 from acgd.tasks.snapshot import Snapshot
 
 CANDIDATES = (("sample", 0.0), ("gaussian", 0.1), ("gaussian", 0.2), ("gaussian", 0.4), ("uniform", 0.0))
-"""Where an action to try comes from, in turn, after the expert's mean: its own sample, noise around the mean, anywhere."""
+"""Sources of candidate actions, in turn, after the expert's mean: its own sample, noise around the mean, anywhere."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ class VisitRecorder(Recorder):
 def branches(
     lock: Lockstep, expert: Expert, visits: Sequence[Visit], actions: np.ndarray, steps: int, bar: Bar
 ) -> Transitions:
-    """From each of V visited states, each of K first actions (V, K, A), then the expert's mean: V * K episodes of `steps`.
+    """V * K episodes of `steps`: from each of V visited states each of K first actions, then the expert's mean.
 
-    Episodes lie state by state, action by action; the first row of each carries the number of its state.
-    Time limits are ignored; termination is not.
+    actions: (V, K, A). Episodes lie state by state, action by action; the first row of each carries the number of its
+    state. Time limits are ignored; termination is not.
     """
     for env in lock.envs:
         env.ignore_time_limit = True
@@ -126,7 +126,10 @@ def branches(
 
 
 def candidates(expert: Expert, state: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
-    """Actions to try in each of V states (V, S): (V, count, A) in [-1, 1], the expert's mean first; and what each is."""
+    """Candidate actions in each of V states (V, S), and their sources.
+
+    The actions are (V, count, A) in [-1, 1], the expert's mean first.
+    """
     mean = expert.mean(state)
     tried, names = [mean], ["mean"]
     for k in range(count - 1):

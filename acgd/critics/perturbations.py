@@ -1,4 +1,4 @@
-"""Noise on the expert's action while transitions are gathered: a critic knows only the actions that it has seen tried."""
+"""Noise on the expert's action while transitions are gathered: a critic knows only actions that have been executed."""
 
 from collections.abc import Iterator
 

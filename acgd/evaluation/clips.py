@@ -19,7 +19,10 @@ LAST_FRAME_S = 0.6
 
 
 def clips(request: ClipsRequest, inputs: Inputs, ctx: Context) -> None:
-    """Films the first success and the first failure of each task, where there is one: <task>-success.mp4, <task>-failure.mp4."""
+    """Films the first success and the first failure of each task, where there is one.
+
+    Writes <task>-success.mp4 and <task>-failure.mp4.
+    """
     recorded = read_actions(inputs["evaluation"] / "actions.safetensors")
     with ctx.progress(len(recorded), "filming") as bar:
         for task in request.tasks:
@@ -48,14 +51,18 @@ def film(path: Path, env: gymnasium.Env, episode: Episode, actions: np.ndarray) 
             frames.append(env.render(SIZE))
     if info["success"] != {"final": episode.final, "held": episode.held, "once": episode.once}:
         raise RuntimeError(
-            f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; the simulation does not repeat"
+            f"{episode.label.task}, seed {episode.seed}: the recorded actions ended as {info['success']} this time; "
+            "the simulation does not repeat"
         )
     rate = 1 / (every * env.control_step)
     write_mp4(path, np.stack(frames + [frames[-1]] * round(LAST_FRAME_S * rate)), rate)
 
 
 def write_mp4(path: Path, frames: np.ndarray, frames_per_s: float) -> None:
-    """frames: (N, H, W, 3) uint8 with even H and W. H.264 that browsers play; one thread and no metadata, for equal bytes."""
+    """Writes H.264 that browsers play. One thread and no metadata make the bytes repeat.
+
+    frames: (N, H, W, 3) uint8 with even H and W.
+    """
     from imageio_ffmpeg import get_ffmpeg_exe
 
     _, height, width, _ = frames.shape

@@ -1,7 +1,7 @@
 """The stage `controls`: what recordings and the expert do from a student's starts.
 
-A task that replay solves needs neither vision nor feedback; the expert is the upper bound. Episodes have the same seeds as
-a student's, so that they pair.
+A task that replay solves needs neither vision nor feedback; the expert is the upper bound. Episodes have the same seeds
+as a student's, so that they pair.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +25,8 @@ CONTROLS: dict[str, Callable[[Demonstrations, Expert, int], Policy]] = {
     "expert": lambda demonstrations, expert, size: Padded(Mean(expert), size),
     "expert-nominal": lambda demonstrations, expert, size: Padded(Mean(expert), size),
 }
-"""`expert-nominal` starts from the suite's nominal start, which on a Fixed task is one episode; the others as the task says."""
+"""Name -> its policy. `expert-nominal` starts from the suite's nominal start, which on a Fixed task is one episode; the
+others start as the task says."""
 
 
 def controls(request: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
@@ -88,9 +89,9 @@ def replay_nearest(demonstrations: Demonstrations) -> Policy:
 
 
 def nearest(states: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """(m,): which of `starts` (E, S) is nearest to each of `states` (m, S), in units of the standard deviation over starts.
+    """(m,): which of `starts` (E, S) is nearest to each of `states` (m, S).
 
-    Entries that all starts share do not count.
+    The unit of an entry is its standard deviation over the starts. Entries that all starts share do not count.
     """
     spread = starts.std(axis=0)
     varied = spread > 1e-6

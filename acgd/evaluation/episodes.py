@@ -1,8 +1,8 @@
 """Episodes of an evaluation: how they are run, kept against a kill, and read again.
 
-What an episode gives depends on its seed, its policy and its row in the batch, never on the episodes beside it or on how
-many there are: seeds go to batches in order, `lockstep` at a time, and policies are padded to that many rows. (The
-shuffled-image control takes another episode's image, and so depends on it by design.)
+An episode's outcome depends on its seed, its policy and its row in the batch, never on the episodes beside it or on
+their number: seeds go to batches in order, `lockstep` at a time, and policies are padded to that many rows. (With
+`image_features: shuffled` it depends on the episode whose image it sees.)
 """
 
 import json
@@ -154,7 +154,10 @@ def read_actions(path: Path) -> list[tuple[Episode, np.ndarray]]:
 
 
 def seeds_of(task: TaskConfig, split: str, episodes: int, offset: int = 0) -> list[int]:
-    """The seeds of a split from `offset` on; from the nominal start only those that do not repeat an earlier episode."""
+    """The seeds of a split from `offset` on.
+
+    From the nominal start only those are left that do not repeat an earlier episode.
+    """
     seeds = {"evaluation": SEEDS.evaluation, "validation": SEEDS.validation}[split].take(episodes, offset)
     if task.start == "perturbed":
         return seeds

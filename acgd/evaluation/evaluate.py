@@ -15,7 +15,11 @@ from acgd.tasks.settings import TaskConfig
 
 
 def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
-    """Runs the episodes of every task: episodes.jsonl, summary.json, and actions.safetensors of those that are filmed."""
+    """Runs the episodes of every task.
+
+    Writes episodes.jsonl, summary.json, and actions.safetensors: the actions of the first success and the first failure
+    of each task.
+    """
     settings, condition, size = request.evaluation, request.condition, request.evaluation.lockstep
     student = load_policy(
         inputs["student"], inputs["backbone"], request.acting, ctx.device, size, weights=settings.weights

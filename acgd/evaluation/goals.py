@@ -1,4 +1,7 @@
-"""Goal images o_T: the end of a demonstration, or of the expert's own run from the same seed (paper III-A; docs/deviations.md)."""
+"""Goal images o_T (paper III-A; docs/deviations.md).
+
+An image is the end of a demonstration, or of the expert's own run from the same seed.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +28,10 @@ def training_goals(rollouts: Path, seeds: Sequence[int]) -> np.ndarray:
 
 
 def oracle_goals(task: TaskConfig, expert: Expert, seeds: Sequence[int], size: int, image_size: int) -> np.ndarray:
-    """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not; `size` runs at a time."""
+    """(m, H, W, 3) uint8: for each seed the last frame of the expert's own run, solved or not.
+
+    size: runs at a time. image_size: H and W.
+    """
     lock = Lockstep(task, size, image_size=None)
     images = []
     for at in range(0, len(seeds), size):

@@ -51,9 +51,9 @@ class EvaluationConfig(Section):
         9,
         ge=1,
         le=256,
-        description="Environments stepped together, some 0.1 GB each, and the rows of every computation of the student: "
-        "always that many, so that an episode does not depend on how many others there are. Another number can change "
-        "the last bit of an action.",
+        description="Environments stepped together, some 0.1 GB each, and the rows of every computation of the "
+        "student: always that many, so that an episode does not depend on how many others there are. Another number "
+        "can change the last bit of an action.",
     )
 
 
@@ -81,7 +81,11 @@ class EvaluationRequest(Request):
 
     def uses(self, stage: str) -> bool:
         """Demonstrations and experts are read for goal images alone."""
-        return {"rollouts": "training", "expert": "oracle"}.get(stage, self.condition.goal) == self.condition.goal
+        if stage == "rollouts":
+            return self.condition.goal == "training"
+        if stage == "expert":
+            return self.condition.goal == "oracle"
+        return True
 
 
 class ClipsRequest(Request):

@@ -1,4 +1,4 @@
-"""What every learner trains in: environments of one task with the privileged state alone."""
+"""The training environments of every learner: one task, observed by the privileged state alone."""
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,8 @@ class StateOnly(gymnasium.ObservationWrapper):
         self._advanced = config.expert.advanced_starts
         if self._advanced and TASKS[config.task.name].kind not in ADVANCED_KINDS:
             raise ValueError(
-                f"{config.task.name} has no start on the way to its goal, only {' and '.join(ADVANCED_KINDS)} tasks have: leave expert.advanced_starts at 0"
+                f"{config.task.name} has no start on the way to its goal, only {' and '.join(ADVANCED_KINDS)} tasks "
+                "have: leave expert.advanced_starts at 0"
             )
         self._rng = np.random.default_rng(stream)
 

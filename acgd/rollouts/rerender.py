@@ -17,8 +17,8 @@ def rerender(
 ) -> dict[int, np.ndarray]:
     """Frames (T + 1, H, W, 3) uint8 of each episode, the final observation last.
 
-    With the task that the episodes were collected from and without `image_size`, they equal the stored ones byte for byte;
-    with another `image_size`, in pixels, they are what the camera would have seen.
+    With the task that the episodes were collected from and without `image_size`, they equal the stored ones byte for
+    byte. With another `image_size`, in pixels, they are what the camera would have seen.
     """
     stored = read_attributes(Path(artifact_dir) / "rollouts.zarr")["chunks"]
     fields = [name for name in stored if name.startswith(FIELDS)]

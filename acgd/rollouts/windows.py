@@ -45,7 +45,7 @@ class Windows:
         episodes: Sequence[Mapping[str, np.ndarray]],
         device: torch.device,
     ) -> "Windows":
-        """One mapping of (T, ...) and one of (E, ...) arrays per task; they may come from the store or from the features."""
+        """One mapping of (T, ...) and one of (E, ...) arrays per task, from the store or from the features."""
         lengths = [demo.lengths for demo in demonstrations]
         all_lengths = np.concatenate(lengths)
         ends = np.cumsum(all_lengths)
@@ -73,7 +73,7 @@ class Windows:
         )
 
     def chunk(self, t: Tensor, k: int) -> tuple[Tensor, Tensor]:
-        """Indices (B, k) of the steps t .. t+k-1, held at the episode's last step, and the mask (B, k) of those within it."""
+        """Indices (B, k) of the steps t .. t+k-1, held at the episode's last step, and the mask (B, k) of its steps."""
         index = t[:, None] + torch.arange(k, device=t.device)
         end = self.end[t][:, None]
         return torch.minimum(index, end - 1), index < end

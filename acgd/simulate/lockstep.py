@@ -12,8 +12,8 @@ from acgd.tasks.snapshot import Snapshot
 class Lockstep:
     """`n` environments of one task.
 
-    After `reset(seeds)` or `restore(snapshots)` with m <= n of them, arrays have m rows. An environment whose episode has
-    ended is not stepped any more: its last observation repeats and its reward is 0.
+    After `reset(seeds)` or `restore(snapshots)` with m <= n of them, arrays have m rows. An environment whose episode
+    has ended is not stepped any more: its last observation repeats and its reward is 0.
     """
 
     def __init__(

@@ -53,7 +53,7 @@ class Mean:
 class Sampled:
     """Actions drawn from an expert's own distribution.
 
-    `rng` gives one stream for all episodes of a batch: a maker seeds it with their seeds.
+    `rng` is one stream for all episodes of a batch. Whoever makes the policy seeds it with their seeds.
     """
 
     def __init__(self, expert: StatePolicy, rng: np.random.Generator) -> None:
@@ -177,8 +177,8 @@ MIXTURE_STREAM = 3
 class Mixture:
     """In each row and step the action of `first` with probability `chance`, else that of `second`.
 
-    Both see every step, so that the memory of either is complete; without a chance `first` is not computed. Chance comes
-    from one generator per row, seeded with the episode's seed.
+    Both are given every step, so that the memory of either is complete. With a chance of 0 `first` is not computed.
+    Each row draws from a generator of its own, seeded with the episode's seed.
     """
 
     def __init__(self, first: Policy, second: Policy, chance: float) -> None:
@@ -241,6 +241,11 @@ class ShuffledImages:
         self.policy = policy
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
+        if len(seeds) < 2:
+            raise ValueError(
+                "image_features: shuffled has one episode alone in a batch: change evaluation.episodes or "
+                "evaluation.lockstep, or leave out start: nominal, from which a Fixed task has one episode"
+            )
         return self.policy.start(tasks, goals, seeds)
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:

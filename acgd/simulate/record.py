@@ -10,7 +10,7 @@ from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.roll import Recorder, Step
 
 Episode = dict[str, np.ndarray]
-"""Name -> array: with a time axis (T, ...), or what the episode has once (names in ONCE, `final_*`, `model_fields/*`)."""
+"""Name -> array: with a time axis (T, ...), or one per episode (names in ONCE, `final_*`, `model_fields/*`)."""
 
 ONCE = ("seed", "terminated", "success_final", "success_held", "success_once")
 FINAL = "final_"

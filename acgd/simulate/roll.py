@@ -61,8 +61,8 @@ def roll(
 ) -> None:
     """Runs one episode per seed, side by side, until the last of them has ended.
 
-    snapshots: where the episodes go on from; their seeds are then only what the policy draws from. task: id of the task, as
-    the policy counts. goals: (n, H, W, 3) uint8 or None. limits: (n,) steps after which an episode ends in any case.
+    snapshots: where the episodes go on from; the seeds are then for the policy alone. task: the task's id, as the
+    policy counts. goals: (n, H, W, 3) uint8 or None. limits: (n,) steps, 1 or more, after which an episode ends.
     """
     observations = lock.reset(seeds) if snapshots is None else lock.restore(snapshots)
     memory = policy.start(np.full(len(seeds), task), goals, list(seeds))

@@ -16,7 +16,7 @@ class SeedRange:
         first = self.start + offset
         if n < 0 or offset < 0 or first + n > self.stop:
             raise ValueError(
-                f"{n} {self.purpose} seeds from offset {offset} are more than the range's {self.stop - self.start}: take fewer"
+                f"{n} {self.purpose} seeds from offset {offset} exceed its {self.stop - self.start}: take fewer"
             )
         return list(range(first, first + n))
 

@@ -46,8 +46,8 @@ class ActingConfig(Section):
 class RoundsConfig(Section):
     """On-policy rounds: the student acts, and goes on learning from the states that it visits."""
 
-    count: int = Field(0, ge=0, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
-    episodes: int = Field(10, ge=1, description="episodes of each task in each round")
+    count: int = Field(0, ge=0, le=100, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
+    episodes: int = Field(10, ge=1, le=10_000, description="episodes of each task in each round")
     beta: Annotated[float, Field(ge=0, le=1)] = Field(
         0.5, description="with probability beta ** round the expert acts in place of the student"
     )

@@ -35,9 +35,10 @@ _BAD = [
 class DexterousTask(gymnasium.Env):
     """A BiDex or OpDex task.
 
-    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` float32: the robot's joint positions,
-    velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,) float32:
-    proprio, the steps for which the goal has been met, and everything about the object, named by `state_layout`.
+    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` float32: the robot's joint
+    positions, velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,)
+    float32: proprio, the steps for which the goal has been met, and everything about the object, named by
+    `state_layout`.
 
     Actions: (A,) in [-1, 1], in the order of the model's actuators.
     """
@@ -86,7 +87,10 @@ class DexterousTask(gymnasium.Env):
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
 
     def step(self, action: np.ndarray):
-        """One control step. `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set."""
+        """One control step.
+
+        `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set.
+        """
         action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip takes longer
         if np.isnan(action).any():
             raise ValueError(
@@ -128,7 +132,8 @@ class DexterousTask(gymnasium.Env):
         expected = mujoco.mj_stateSize(self.model, STATE)
         if snapshot.integration.shape != (expected,):
             raise ValueError(
-                f"{self.task.name} has states of {expected} numbers, the snapshot {snapshot.integration.size}: it is of another task"
+                f"{self.task.name} has states of {expected} numbers, the snapshot {snapshot.integration.size}: "
+                "it is of another task"
             )
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
@@ -153,7 +158,8 @@ class DexterousTask(gymnasium.Env):
             at = int(np.flatnonzero(outside)[0])
             name = model.joint(joints[at]).name
             raise ValueError(
-                f"{self.task.name} starts joint {name} at {position[at]:.3f}, outside [{low[at]:.3f}, {high[at]:.3f}]: narrow its starts"
+                f"{self.task.name} starts joint {name} at {position[at]:.3f}, "
+                f"outside [{low[at]:.3f}, {high[at]:.3f}]: narrow its starts"
             )
 
     def _unstable(self) -> bool:
@@ -163,7 +169,10 @@ class DexterousTask(gymnasium.Env):
     # -- observation -----------------------------------------------------------------------------
 
     def render(self, size: int | None = None) -> np.ndarray:
-        """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
+        """The current picture (size, size, 3) uint8.
+
+        Without `size` it is as large as the observation's image, or 84 pixels where the observation has none.
+        """
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:
             from acgd.tasks.rendering.renderer import Renderer

@@ -109,7 +109,10 @@ class MyoDexTask(gymnasium.Env):
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
 
     def step(self, action: np.ndarray):
-        """One control step. `truncated` at the time limit, unless `ignore_time_limit` is set; an unstable simulation terminates."""
+        """One control step.
+
+        `truncated` at the time limit, unless `ignore_time_limit` is set; an unstable simulation terminates.
+        """
         _, reward, terminated, _, info = self.base.step(np.asarray(action, np.float32))
         self.steps += 1
         if self._unstable():
@@ -154,7 +157,10 @@ class MyoDexTask(gymnasium.Env):
     # -- observation -----------------------------------------------------------------------------
 
     def render(self, size: int | None = None) -> np.ndarray:
-        """The current picture (size, size, 3) uint8; without `size`, as large as the observation's image, or 84 pixels."""
+        """The current picture (size, size, 3) uint8.
+
+        Without `size` it is as large as the observation's image, or 84 pixels where the observation has none.
+        """
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:
             from acgd.tasks.rendering.renderer import Renderer

@@ -1,4 +1,7 @@
-"""Draws docs/images/dexterous.png: BiDex and OpDex as a student sees them, at a start and solved. `python -m docs.images.dexterous`"""
+"""Draws docs/images/dexterous.png: BiDex and OpDex as a student sees them, at a start and solved.
+
+`python -m docs.images.dexterous`
+"""
 
 from pathlib import Path
 
