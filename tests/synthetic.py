@@ -1,5 +1,6 @@
-"""Small made-up demonstrations, features and critics as published artifacts, for tests and benchmarks of the students."""
+"""Small made-up rollouts, features and critics as published artifacts, for tests and benchmarks of the students."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,15 +8,31 @@ import torch
 
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.store import write_group
+from acgd.store.stage import Context
+from acgd.students.settings import CodebookRequest, ImitationConfig, RoundsConfig, StudentRequest
+from acgd.students.training_settings import TrainingConfig
+from acgd.tasks.settings import TaskConfig
 from acgd.store.metrics import Metrics
 from acgd.store.progress import Progress
-from acgd.store.stage import Context
-from acgd.students.settings import CodebookConfig, CodebookRequest, StudentConfig, StudentRequest, TrainingConfig
-from acgd.tasks.settings import TaskConfig
-from acgd.vision.settings import BackboneConfig
 
 TASKS = ("myo/reach", "myo/obj-hold")
 P, A, F = 7, 5, 6
+STUDENTS = {
+    "acgd": {
+        "kind": "acgd",
+        "chunk": 4,
+        "history": 3,
+        "groups": 2,
+        "codes": 8,
+        "width": 32,
+        "heads": 2,
+        "encoder_layers": 1,
+        "decoder_layers": 1,
+    },
+    "bc": {"kind": "bc", "width": 64},
+}
+"""Tiny students, one of each kind."""
+GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 
 
 def rollouts(
@@ -47,7 +64,11 @@ def rollouts(
     if images:
         arrays["image"] = rng.integers(0, 256, (len(t), 32, 32, 3), dtype=np.uint8)
         arrays["final_image"] = rng.integers(0, 256, (episodes, 32, 32, 3), dtype=np.uint8)
-    write_group(directory / "rollouts.zarr", arrays, {"reward_terms": [], "state_layout": {"everything": [0, state]}})
+    write_group(
+        directory / "rollouts.zarr",
+        arrays,
+        {"task": TASKS[task], "reward_terms": [], "state_layout": {"everything": [0, state]}},
+    )
     features = rng.normal(size=(len(t), F)).astype(np.float32) * 0.1
     features[:, 0] = angle
     final = rng.normal(size=(episodes, F)).astype(np.float32)
@@ -55,50 +76,61 @@ def rollouts(
     return directory
 
 
-def critic(
-    directory: Path, state: int, actions: int = A, low: float = 0.5, members: int = 2, width: int = 32, seed: int = 0
-) -> Path:
-    """An untrained critic with a quality.json; `low` is the low end of its within-state rank interval."""
+def critic(directory: Path, state: int, actions: int = A, members: int = 2, width: int = 32, seed: int = 0) -> Path:
+    """An untrained critic."""
     directory.mkdir(parents=True)
     made = Critic(state, actions, members, width, dueling=True, generator=torch.Generator().manual_seed(seed))
     made.spread.fill_(0.5)
     made.save(directory)
-    (directory / "quality.json").write_text(f'{{"within_state": {{"low": {low}}}}}')
+    return directory
+
+
+def quality(directory: Path, low: float | None) -> Path:
+    """The quality of a critic; `low` is the low end of its within-state rank interval."""
+    directory.mkdir(parents=True)
+    (directory / "quality.json").write_text(json.dumps({"within_state": {"low": low}}))
+    return directory
+
+
+def backbone(directory: Path, dim: int = 8) -> Path:
+    """A backbone of kind `scratch`: a student without features has a CNN of that width."""
+    directory.mkdir(parents=True)
+    (directory / "backbone.json").write_text(json.dumps({"kind": "scratch", "dim": dim}))
     return directory
 
 
 def codebook_request(
-    seed: int = 0, backbone: str = "privileged", training: dict | None = None, **fields
+    seed: int = 0, training: dict | None = None, imitation: dict | None = None, **student
 ) -> CodebookRequest:
     """A tiny codebook on two tasks."""
-    small = {
-        "chunk": 4,
-        "history": 3,
-        "groups": 2,
-        "codes": 8,
-        "width": 32,
-        "heads": 2,
-        "encoder_layers": 1,
-        "decoder_layers": 1,
-    }
-    codebook = CodebookConfig(**small | fields, training=_training(training))
     return CodebookRequest(
         tasks=[TaskConfig(name=name) for name in TASKS],
-        codebook=codebook,
-        backbone=BackboneConfig(kind=backbone, dim=8),
+        imitation=ImitationConfig(**(imitation or {})),
+        student=STUDENTS["acgd"] | {"codebook": {"training": _training(training)}} | student,
         seed=seed,
     )
 
 
-def student_request(codebook: CodebookRequest, training: dict | None = None, **fields) -> StudentRequest:
-    """A tiny student on that codebook."""
-    student = StudentConfig(**fields, training=_training(training))
+def student_request(
+    kind: str = "acgd",
+    guidance: dict | None = None,
+    training: dict | None = None,
+    imitation: dict | None = None,
+    seed: int = 0,
+    rounds: dict | None = None,
+    round: int = 0,
+    **student,
+) -> StudentRequest:
+    """A tiny student on two tasks."""
     return StudentRequest(
-        tasks=codebook.tasks,
-        codebook=codebook.codebook,
-        student=student,
-        backbone=codebook.backbone,
-        seed=codebook.seed,
+        tasks=[TaskConfig(name=name) for name in TASKS],
+        imitation=ImitationConfig(**(imitation or {})),
+        student=STUDENTS[kind] | student,
+        training=_training(training),
+        guidance=guidance or {"kind": "none"},
+        rounds=None if rounds is None else RoundsConfig(**rounds),
+        round=round,
+        seed=seed,
     )
 
 
@@ -111,5 +143,5 @@ def context(directory: Path) -> Context:
 
 
 def _training(fields: dict | None) -> TrainingConfig:
-    small = {"steps": 6, "batch": 16, "warmup": 2, "validate_every": 2, "log_every": 2, "checkpoint_every": 3}
+    small = {"steps": 6, "batch": 16, "warmup": 2, "validate_every": 2, "checkpoint_every": 3}
     return TrainingConfig(**small | (fields or {}))

@@ -9,7 +9,7 @@ from acgd.nn.q_ensemble import STATE_CLIP, Critic
 
 
 class AggregateCritic(nn.Module):
-    """(Q_agg(s, a) - Q_agg(s, a_0)) . t_i: gain of an action over a reference by the critic of the row's task, in spreads.
+    """(Q_agg(s, a) - Q_agg(s, a_0)) . t_i: gain of an action over a reference by the row's own critic, in spreads.
 
     The reference, the demonstrated action, is a constant: the gradient by a is that of Q. The difference cancels the
     value of the state, so that members disagree about the action alone; a dueling critic needs its advantage only.

@@ -64,8 +64,8 @@ def train(
     """Trains in place and returns the best weights; those of the last step are in the model.
 
     `validate` returns scores; the least of the one named by `chosen_by` is the best. `generators` are the only sources
-    of randomness, and `tally` holds the sums that `step_loss` keeps. All are checkpointed, so that a resumed run equals an
-    uninterrupted one bit for bit.
+    of randomness, and `tally` holds the sums that `step_loss` keeps. All are checkpointed, so that a resumed run equals
+    an uninterrupted one bit for bit.
     """
     optimiser = adamw(model, config)
     trained = [p for group in optimiser.param_groups for p in group["params"]]
