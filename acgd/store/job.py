@@ -48,7 +48,7 @@ def make(job: Mapping[str, Any], store: Store, threads: int, device: str) -> Non
         raise ArtifactError(
             f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again."
         )
-    inputs = _inputs(job["inputs"], store)
+    inputs = _inputs(job["inputs"], store, restored=stage == "report")
 
     def fill(space: Workspace) -> dict[str, Any]:
         started = time.time()
@@ -70,14 +70,14 @@ def _keys(inputs: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _inputs(places: Mapping[str, Any], store: Store) -> Inputs:
+def _inputs(places: Mapping[str, Any], store: Store, restored: bool) -> Inputs:
     paths = {
         role: [store.path(one) for one in given] if isinstance(given, list) else store.path(given)
         for role, given in places.items()
     }
     for given in paths.values():
         for path in given if isinstance(given, list) else [given]:
-            check(path)
+            check(path, restored)
     return paths
 
 
