@@ -61,4 +61,4 @@ def one_of(kinds: Mapping[str, Kind], default: str) -> Any:
         return value.get("kind", default) if isinstance(value, Mapping) else getattr(value, "kind", None)
 
     members = [Annotated[imported(kind.settings), Tag(name)] for name, kind in kinds.items()]
-    return Annotated[Union[tuple(members)], Discriminator(kind_of)]
+    return Annotated[Union[tuple(members)], Discriminator(kind_of)]  # noqa: UP007

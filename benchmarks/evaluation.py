@@ -5,13 +5,13 @@ import time
 
 import numpy as np
 import torch
+from acgd.students.codebook import Sizes
 
 from acgd.evaluation.settings import EvaluationConfig
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Padded, Policy
 from acgd.simulate.roll import Recorder, Step, roll
 from acgd.students.acting import Actor
-from acgd.students.codebook import Sizes
 from acgd.students.load import ActorPolicy
 from acgd.students.settings import ActingConfig, CodebookConfig
 from acgd.students.student import Student

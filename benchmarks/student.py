@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 
 import torch
+from acgd.students.codebook import Codebook, Sizes
+from acgd.students.guidance import Guidance
 from torch.utils.flop_counter import FlopCounterMode
 
 from acgd.critics.aggregate import AggregateCritic
@@ -12,10 +14,8 @@ from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
 from acgd.store.precision import in_bfloat16
 from acgd.students import losses
-from acgd.students.codebook import Codebook, Sizes
 from acgd.students.data import Data
 from acgd.students.distil import student_losses
-from acgd.students.guidance import Guidance
 from acgd.students.settings import CodebookConfig, StudentConfig
 from acgd.students.student import Student
 from acgd.students.training import adamw

@@ -302,16 +302,17 @@ def student(
     rng: np.random.Generator,
     reliable_rank: float | None,
 ) -> Path:
-    asks = {"seed": seed, "round": turn, "training": {"precision": "bfloat16"}}
+    gate = {"gate": "one"} if reliable_rank is None else {"gate": "reliable", "reliable_rank": reliable_rank}
+    guidance = {"kind": "critic", **gate} if guided else {"kind": "none"}
+    asks = {"seed": seed, "round": turn, "training": {"precision": "bfloat16"}, "guidance": guidance}
     folder = Folder(root, "student", f"{variant}-seed-{seed}-round-{turn}", asks, upstream)
     ratio = {task: (0.2, 0.06, 0.004)[place] for place, task in enumerate(tasks)}
     notes = {
         task: {"gate": 1.0, "gradient_ratio": value, "counts_as_guidance": value >= 0.01}
         for task, value in ratio.items()
     }
-    guidance = {"kind": "critic", "counts_from": 0.01, "reliable_rank": reliable_rank, "tasks": notes}
-    about = {"tasks": list(tasks), "seed": seed, "guidance": guidance if guided else {"kind": "none"}}
-    folder.json("student.json", about)
+    measured = {"counts_from": 0.01, "tasks": notes} if guided else {}
+    folder.json("student.json", {"tasks": list(tasks), "seed": seed, "guidance": measured})
     rows = []
     for step in range(100, 2001, 100):
         fall = 1 / (1 + step / 400) + 0.03 * rng.random()

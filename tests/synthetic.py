@@ -8,12 +8,12 @@ import torch
 
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.store import write_group
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.students.settings import CodebookRequest, ImitationConfig, RoundsConfig, StudentRequest
 from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
-from acgd.store.metrics import Metrics
-from acgd.store.progress import Progress
 
 TASKS = ("myo/reach", "myo/obj-hold")
 P, A, F = 7, 5, 6

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from acgd.students.codebook import Sizes
 from imageio_ffmpeg import count_frames_and_secs, read_frames
 
 from acgd.collection import onpolicy
@@ -17,7 +18,6 @@ from acgd.evaluation.controls import CONTROLS, controls, nearest, replay, replay
 from acgd.evaluation.episodes import Episode, Label, read, read_actions, run, run_batch, seeds_of
 from acgd.evaluation.evaluate import evaluate
 from acgd.evaluation.goals import demonstration_for, oracle_goals, training_goals
-from acgd.simulate.proportion import wilson
 from acgd.evaluation.settings import (
     ClipsRequest,
     Condition,
@@ -45,19 +45,19 @@ from acgd.simulate.policy import (
     ShuffledImages,
     padded,
 )
+from acgd.simulate.proportion import wilson
 from acgd.simulate.record import Episodes
 from acgd.simulate.roll import Recorder, roll
 from acgd.simulate.seeds import SEEDS, round_seeds
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
-from acgd.students.codebook import Sizes
 from acgd.students.data import Data
 from acgd.students.load import load_policy
 from acgd.students.settings import ActingConfig, CodebookConfig, RoundsConfig
 from acgd.students.student import Student
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig
-from acgd.store.metrics import Metrics
-from acgd.store.progress import Progress
 from acgd.vision.cnn import SmallCNN
 
 PEN = TaskConfig(name="myo/pen-twirl")

@@ -4,8 +4,7 @@ import ast
 import shutil
 
 import pytest
-import yaml
-from workflow_runs import ROOT, STUDY, workflow
+from workflow_runs import ROOT, workflow
 
 from acgd import ORDER
 

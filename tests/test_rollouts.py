@@ -18,12 +18,12 @@ from acgd.rollouts.store import DamagedStoreError, read_attributes, read_group, 
 from acgd.rollouts.windows import Windows
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS, round_seeds
+from acgd.store.metrics import Metrics
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.students.settings import ActingConfig, RoundsConfig
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig
-from acgd.store.metrics import Metrics
-from acgd.store.progress import Progress
 
 TASK = TaskConfig(name="myo/reach")
 CPU = torch.device("cpu")

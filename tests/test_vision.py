@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from acgd.vision.frames import Frames
+from acgd.vision.resnet import ResNet
 from pydantic import ValidationError
 from torch import nn
 
@@ -19,8 +21,6 @@ from acgd.tasks.settings import TaskConfig
 from acgd.vision import augmentation, backbones, r3m
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode
-from acgd.vision.frames import Frames
-from acgd.vision.resnet import ResNet
 from acgd.vision.settings import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
 from acgd.vision.train import train
 

@@ -13,9 +13,9 @@ from acgd.critics.transitions import Transitions, concatenate
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.tasks.spec import TASKS
-from acgd.store.progress import Progress
 
 VISITS_PER_BRANCH = 3
 """States kept to come back to, for each one that is drawn from them."""

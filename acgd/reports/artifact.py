@@ -50,7 +50,9 @@ class Artifact:
 
     @property
     def size(self) -> int:
-        """Bytes on disk."""
+        """Bytes of its payload by the manifest, which counts what a restored artifact lacks; else of its files."""
+        if "payload" in self.manifest:
+            return sum(file["bytes"] for file in self.manifest["payload"].values())
         return sum(file.stat().st_size for file in self.path.rglob("*") if file.is_file())
 
     def json(self, name: str) -> dict[str, Any]:

@@ -126,11 +126,11 @@ def backbones(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def guided_variants(request: ReportRequest, artifacts: Artifacts) -> frozenset[str]:
-    """Variants with a student whose student.json names a kind of guidance."""
+    """Variants with a student whose settings name a kind of guidance."""
     return frozenset(
         entry.variant
         for entry in request.entries
-        if any(_guidance(student).get("kind", "none") != "none" for student in used(entry, "student", artifacts))
+        if any(_settings(student).get("kind", "none") != "none" for student in used(entry, "student", artifacts))
     )
 
 
@@ -143,8 +143,9 @@ def gates(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
     rows = []
     for entry in request.entries:
         for student in used(entry, "student", artifacts)[-1:]:
-            notes = _guidance(student)
-            limits = notes.get("counts_from"), notes.get("reliable_rank")
+            notes, settings = student.json("student.json").get("guidance", {}), _settings(student)
+            reliable = settings.get("reliable_rank") if settings.get("gate") == "reliable" else None
+            limits = notes.get("counts_from"), reliable
             for task, note in notes.get("tasks", {}).items():
                 measured = note["gate"], note["gradient_ratio"], not note["counts_as_guidance"]
                 rows.append((entry.variant, entry.seed, task, *measured, *limits))
@@ -175,9 +176,9 @@ def codebooks(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["variants", "seeds", *codes, *errors, "key"])
 
 
-def _guidance(student: Artifact) -> dict:
-    """What student.json says of guidance: kind, and for a kind with critics counts_from, reliable_rank and tasks."""
-    return student.json("student.json").get("guidance", {})
+def _settings(student: Artifact) -> dict:
+    """The section `guidance` that the student was made from."""
+    return student.request.get("guidance") or {}
 
 
 def _joined(names: Iterable[str]) -> str:

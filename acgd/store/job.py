@@ -34,7 +34,7 @@ def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store,
         raise ArtifactError(
             f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again."
         )
-    inputs = _inputs(job["inputs"], store)
+    inputs = _inputs(job["inputs"], store, restored=stage.name == "report")
 
     def fill(space: Workspace) -> dict[str, Any]:
         started = time.time()
@@ -60,13 +60,14 @@ def _keys(inputs: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _inputs(inputs: Mapping[str, Any], store: Store) -> Inputs:
+def _inputs(inputs: Mapping[str, Any], store: Store, restored: bool) -> Inputs:
+    """Paths of the inputs, each checked. `restored`: whether the stage reads what was kept of an artifact."""
     paths = {
         role: [store.path(one) for one in places] if isinstance(places, list) else store.path(places)
         for role, places in inputs.items()
     }
     for path in (one for places in paths.values() for one in (places if isinstance(places, list) else [places])):
-        check(path)
+        check(path, restored)
     return paths
 
 

@@ -22,7 +22,9 @@ from acgd.store.key import canonical, file_digest
 from acgd.store.lock import held, remove_with_lock
 
 MANIFEST, CHECKSUMS, RUN, METRICS = "manifest.json", "checksums.json", "run.json", "metrics.jsonl"
-NOT_PAYLOAD = (MANIFEST, CHECKSUMS, RUN)
+KEPT = "kept.json"
+"""In an artifact that was restored from kept results: the names of its files that were not kept."""
+NOT_PAYLOAD = (MANIFEST, CHECKSUMS, RUN, KEPT)
 IGNORED = (".snakemake_timestamp",)
 
 
@@ -150,9 +152,24 @@ class Store:
         _sync_folder(path)
 
 
-def check(path: Path) -> None:
-    """Quick look at an artifact before it is read: manifest, and every file at its size."""
+def absent(path: Path) -> list[str]:
+    """Files that a restored artifact lacks; none of an artifact that was made here."""
+    file = path / KEPT
+    return json.loads(file.read_text(encoding="utf-8"))["absent"] if file.is_file() else []
+
+
+def check(path: Path, restored: bool = False) -> None:
+    """Quick look at an artifact before it is read: manifest, and every file at its size.
+
+    restored: whether the reader does with the small files that a restored artifact has.
+    """
     manifest = _manifest(path)
+    missing = absent(path)
+    if missing and not restored:
+        raise ArtifactError(
+            f"{path} was restored from kept results and lacks {len(missing)} of its files, such as {missing[0]}. "
+            "Only a report reads it. Type: python -m acgd restore --discard, then run the workflow again, which makes it."
+        )
     found = damages(path, manifest["payload"], read=False)
     if found:
         raise ArtifactError(
@@ -163,9 +180,11 @@ def check(path: Path) -> None:
 
 def damages(path: Path, payload: Mapping[str, Mapping[str, Any]], read: bool = True) -> list[str]:
     """What differs from the checksums, file by file; only sizes are compared unless `read`."""
-    found = []
+    found, not_kept = [], set(absent(path))
     for name, known in payload.items():
         file = path / name
+        if name in not_kept and not file.exists():
+            continue
         if not file.is_file():
             found.append(f"{name} is missing")
         elif file.stat().st_size != known["bytes"]:
