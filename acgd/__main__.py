@@ -69,6 +69,15 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
     verb.add_argument("--fingerprint", required=True, help="of the plan that the workflow has carried out")
     verb.set_defaults(run=_publish)
+    verb = verbs.add_parser("keep", help="keep a study's finished results, without weights, under docs/results/")
+    verb.add_argument("study", type=Path, metavar="study.yaml")
+    verb.add_argument("--folder", type=Path, help="default: docs/results/<study>/kept")
+    verb.set_defaults(run=_keep)
+    verb = verbs.add_parser("restore", help="put kept results into the store, so that the report is built from them")
+    verb.add_argument("study", type=Path, metavar="study.yaml", nargs="?")
+    verb.add_argument("--folder", type=Path, help="default: docs/results/<study>/kept")
+    verb.add_argument("--discard", action="store_true", help="remove all restored artifacts from the store instead")
+    verb.set_defaults(run=_restore)
     verb = verbs.add_parser("schema", help="write docs/configuration.md and docs/schema.json")
     verb.add_argument("--docs", type=Path, default=Path("docs"))
     verb.set_defaults(run=_schema)
@@ -138,6 +147,38 @@ def _publish(options: argparse.Namespace) -> None:
             "Code, simulator or a file that the study reads has changed since the workflow was started. Start it again."
         )
     print(f"report: {names.publish(Store(options.store), plan)}")
+
+
+def _keep(options: argparse.Namespace) -> None:
+    from acgd.study import kept
+    from acgd.study.commands import plans
+
+    (plan,) = plans([options.study])
+    folder = options.folder or kept.folder_of(plan.study)
+    outcome = kept.keep(Store(options.store), plan, folder)
+    print(f"kept {len(outcome.done)} artifacts in {folder}; {len(outcome.missing)} are not finished")
+    for file in outcome.too_large:
+        print(f"left out, too large: {file}")
+
+
+def _restore(options: argparse.Namespace) -> None:
+    from acgd.study import kept
+    from acgd.study.commands import plans
+
+    store = Store(options.store)
+    if options.discard:
+        print(f"removed {len(kept.discard(store))} restored artifacts")
+        return
+    if options.study is None:
+        raise ArtifactError("Name the study whose results are restored, or type --discard.")
+    (plan,) = plans([options.study])
+    outcome = kept.restore(store, plan, options.folder or kept.folder_of(plan.study))
+    counts = f"{len(outcome.present)} were there already, {len(outcome.missing)} were not kept"
+    print(f"restored {len(outcome.done)} artifacts; {counts}")
+    if outcome.missing:
+        print("Settings, code or a task have changed since they were kept:", *outcome.missing[:5], sep="\n  ")
+    else:
+        print(f"Build the report: snakemake --cores 2 results/{plan.study}/report.html --configfile {options.study}")
 
 
 def _planned(configuration: str):

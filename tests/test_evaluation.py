@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from acgd.students.codebook import Sizes
 from imageio_ffmpeg import count_frames_and_secs, read_frames
 
 from acgd.collection import onpolicy
@@ -52,10 +51,12 @@ from acgd.simulate.seeds import SEEDS, round_seeds
 from acgd.store.metrics import Metrics
 from acgd.store.progress import Progress
 from acgd.store.stage import Context
+from acgd.students.acgd.model import ACGD
+from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.data import Data
-from acgd.students.load import load_policy
-from acgd.students.settings import ActingConfig, CodebookConfig, RoundsConfig
-from acgd.students.student import Student
+from acgd.students.load import load_policy, new_student, save_student
+from acgd.students.settings import ActingConfig, ImitationConfig, RoundsConfig
+from acgd.students.student import Sizes
 from acgd.tasks import registry
 from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.vision.cnn import SmallCNN
@@ -363,20 +364,20 @@ def test_only_goals_need_demonstrations_or_experts():
     assert all(evaluation_request(Condition(goal=goal)).uses("student") for goal in used)
 
 
-def save_student(folder: Path, owns_cnn: bool, **config) -> Path:
-    """An untrained student."""
+def untrained(folder: Path, owns_cnn: bool, history: int = 2, **imitation) -> Path:
+    """The artifact of a student that has not been trained."""
     torch.manual_seed(0)
-    small = {"chunk": 4, "history": 2, "groups": 2, "codes": 4, "width": 16, "heads": 2}
+    settings = ACGDConfig(chunk=4, history=history, groups=2, codes=4, width=16, heads=2)
     sizes = Sizes(features=16, proprio=85, actions=39, tasks=2, owns_cnn=owns_cnn)
-    made = Student(CodebookConfig(**small | config), sizes)
-    made.save(folder, {"best": made.state_dict()}, {"tasks": [PEN.name, HOLD.name]})
+    made = new_student(settings, ImitationConfig(**imitation), sizes)
+    save_student(made, folder, {"best": made.state_dict()}, {"tasks": [PEN.name, HOLD.name]})
     return folder
 
 
 @pytest.fixture(scope="module")
 def student(tmp_path_factory) -> Path:
     """An untrained student with its own CNN."""
-    return save_student(tmp_path_factory.mktemp("student"), owns_cnn=True)
+    return untrained(tmp_path_factory.mktemp("student"), owns_cnn=True)
 
 
 def test_acting_gives_a_student_the_inputs_of_its_training(artifacts, tmp_path, monkeypatch):
@@ -391,18 +392,24 @@ def test_acting_gives_a_student_the_inputs_of_its_training(artifacts, tmp_path, 
         features.append(tmp_path / f"{at}")
     folder = tmp_path / "student"
     folder.mkdir()
-    save_student(folder, owns_cnn=False, history=3, goal_image="own")
-    config = CodebookConfig(chunk=4, history=3, goal_image="own", label="executed")
-    data = Data.load(artifacts["rollouts"], features, config, states=False, device=torch.device("cpu"))
+    untrained(folder, owns_cnn=False, history=3, goal_image="own")
+    data = Data.load(
+        {"rollouts": artifacts["rollouts"], "features": features},
+        ImitationConfig(goal_image="own", label="executed"),
+        chunk=4,
+        history=3,
+        states=False,
+        device=torch.device("cpu"),
+    )
 
     planned = []
-    plan = Student.plan
+    plan = ACGD.plan
 
-    def spied(self, *inputs):
-        planned.append(inputs)
-        return plan(self, *inputs)
+    def spied(self, observation):
+        planned.append(observation)
+        return plan(self, observation)
 
-    monkeypatch.setattr(Student, "plan", spied)
+    monkeypatch.setattr(ACGD, "plan", spied)
     monkeypatch.setattr("acgd.students.load.load_backbone", lambda folder, device: backbone)
     acting = load_policy(folder, tmp_path, ActingConfig(), torch.device("cpu"), rows=2)
     policy = Restricted(acting, STUDENT_ENTRIES)
@@ -433,10 +440,10 @@ def test_acting_gives_a_student_the_inputs_of_its_training(artifacts, tmp_path, 
         t = torch.arange(demos.episode_starts[episode], demos.episode_ends[episode]) + first_row
         trained = data.batch(t, torch.Generator()).observation
         steps = planned[: len(t)]
-        assert torch.equal(torch.stack([step[2][row] for step in steps]), trained.proprio)
-        assert torch.equal(torch.stack([step[3][row] for step in steps]), trained.task)
-        assert torch.allclose(torch.stack([step[0][row] for step in steps]), trained.vision, atol=1e-4)
-        assert torch.allclose(torch.stack([step[1][row] for step in steps]), trained.goal, atol=1e-4)
+        assert torch.equal(torch.stack([step.proprio[row] for step in steps]), trained.proprio)
+        assert torch.equal(torch.stack([step.task[row] for step in steps]), trained.task)
+        assert torch.allclose(torch.stack([step.vision[row] for step in steps]), trained.vision, atol=1e-4)
+        assert torch.allclose(torch.stack([step.goal[row] for step in steps]), trained.goal, atol=1e-4)
         assert len(torch.unique(trained.vision, dim=0)) > 1
 
 

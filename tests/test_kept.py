@@ -6,10 +6,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from acgd.store.metrics import Metrics
 from study_artifacts import study
 
 from acgd.reports.report import report
+from acgd.store.metrics import Metrics
 from acgd.store.store import ArtifactError, Store, check, damages
 from acgd.study import commands, kept
 

@@ -77,7 +77,8 @@ def verdict(names: Sequence[str], guidance: Guidance | None, ratios: Sequence[fl
     """For student.json: per task its gate, the mean ratio of gradient norms, and whether that counts as guidance."""
     if guidance is None:
         return {}
-    return {
+    tasks = {
         name: {"gate": gate, "gradient_ratio": ratio, "counts_as_guidance": ratio >= COUNTS}
         for name, gate, ratio in zip(names, guidance.gates.tolist(), ratios, strict=True)
     }
+    return {"counts_from": COUNTS, "tasks": tasks}

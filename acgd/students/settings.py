@@ -72,7 +72,9 @@ class StudentRequest(Request):
 
     tasks: list[TaskConfig]
     imitation: ImitationConfig = ImitationConfig()
-    student: StudentConfig = Field(ACGDConfig(), description="Architecture of the student, one artifact per student seed.")
+    student: StudentConfig = Field(
+        ACGDConfig(), description="Architecture of the student, one artifact per student seed."
+    )
     training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of the student, of any kind.")
     guidance: GuidanceConfig = Field(CriticGuidanceConfig(), description="What trains a student besides imitation.")
     rounds: RoundsConfig | None = None

@@ -68,7 +68,11 @@ def markdown() -> str:
             parts.append(f"## `{name}`\n\n{field.description} Without `kind` it is `{default}`.\n")
             for kind, model in kinds.items():
                 title = f"`{name}: {{kind: {kind}}}`"
-                parts.append(_table(title, _first_paragraph(model), [row for row in _leaves(model) if row[0] != "kind"], level="###"))
+                parts.append(
+                    _table(
+                        title, _first_paragraph(model), [row for row in _leaves(model) if row[0] != "kind"], level="###"
+                    )
+                )
     return "\n".join(parts)
 
 

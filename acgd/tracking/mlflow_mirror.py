@@ -33,6 +33,7 @@ METRICS_A_CALL, PARAMS_A_CALL, LONGEST_VALUE = 1000, 100, 5000
 """MLflow's limits; a longer parameter or tag is cut."""
 FIGURES = (".svg", ".png")
 
+
 @dataclass(frozen=True)
 class Mirrored:
     """A published artifact and the names that the study gives it, e.g. ("acgd/seed-0/student",); several share one."""
