@@ -260,11 +260,10 @@ def test_an_on_policy_round_keeps_failures_and_counts(mixed):
     assert summary["steps_by_expert"] == demos.arrays["by_expert"].sum()
 
 
-def test_the_student_of_a_round_is_given_its_task_goals_and_no_state(mixed, real):
+def test_the_student_of_a_round_is_given_its_task_and_goals(mixed, real):
     from acgd.evaluation.goals import training_goals
 
     _, student = mixed
-    assert student.entries == {"image", "proprio"}
     (tasks, goals, seeds), _ = student.started
     assert tasks == [1, 1] and seeds == round_seeds(4, 2, 2)
     assert np.array_equal(goals, training_goals(real, seeds))
