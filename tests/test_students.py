@@ -33,7 +33,7 @@ from acgd.students.data import Batch, Data, Observation
 from acgd.students.distil import distil, start, validate
 from acgd.students.ensembling import ensemble
 from acgd.students.kinds import STUDENTS
-from acgd.students.load import StudentPolicy, load_policy, load_student, save_student
+from acgd.students.load import StudentPolicy, load_policy, load_student, new_student, save_student
 from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig, StudentRequest
 from acgd.students.student import Sizes, Student
@@ -245,7 +245,7 @@ def test_perplexity_counts_codes_in_use():
 
 
 def test_windows_align_chunk_history_and_states_by_step(data):
-    """In the synthetic demonstrations proprio[0] is t / 10 and the action a known function of t: an off-by-one shows."""
+    """In the synthetic demonstrations proprio[0] is t / 10 and the action a function of t: an off-by-one shows."""
     t = data.windows.training[[0, 3, 17]]
     batch = data.batch(t, generator())
     reference = data.reference(batch)
@@ -326,15 +326,25 @@ def test_a_kind_refuses_the_fields_of_another():
         synthetic.student_request(guidance={"kind": "none", "alpha": 1.0})
 
 
+LEARNING = {"steps": 250, "batch": 64, "validate_every": 50, "learning_rate": 3e-3, "input_noise": 0.0}
+
+
+@pytest.fixture(scope="module")
+def learned_codebook(inputs, tmp_path_factory) -> Path:
+    request = synthetic.codebook_request(training=LEARNING)
+    return run(fit, request, inputs, tmp_path_factory.mktemp("learned-codebook"))
+
+
+def test_a_codebook_learns_a_small_dataset_and_its_codes_carry_the_chunk(learned_codebook):
+    health = json.loads((learned_codebook / "health.json").read_text())
+    assert health["reconstruction"]["training"] < 0.1 and health["shuffled_ratio"] > 2
+
+
 @every_student
 @every_guidance
-def test_a_student_learns_a_small_dataset(kind, guided_by, inputs, tmp_path):
-    rate = {"bc": 1e-2}.get(kind, 3e-3)
-    training = {"steps": 250, "batch": 64, "validate_every": 50, "learning_rate": rate, "input_noise": 0.0}
-    if kind == "acgd":
-        inputs = inputs | {"codebook": run(fit, synthetic.codebook_request(training=training), inputs, tmp_path / "a")}
-        health = json.loads((inputs["codebook"] / "health.json").read_text())
-        assert health["reconstruction"]["training"] < 0.1 and health["shuffled_ratio"] > 2
+def test_a_student_learns_a_small_dataset(kind, guided_by, inputs, learned_codebook, tmp_path):
+    training = LEARNING | ({"learning_rate": 1e-2} if kind == "bc" else {})
+    inputs = inputs | {"codebook": learned_codebook}
     guidance = synthetic.GUIDANCE[guided_by] | ({"gate": "reliable"} if guided_by == "critic" else {})
     out = distilled(synthetic.student_request(kind, guidance, training), inputs, tmp_path / "student")
     card = json.loads((out / "student.json").read_text())
@@ -497,8 +507,10 @@ def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_byte(k
     read = read_by(request, inputs)
     whole = run(distil, request, read, tmp_path / "whole")
     assert_same_files(whole, interrupted(distil, request, read, tmp_path / "cut"))
-    training = request.training.model_copy(update={"checkpoint_every": 1})
-    assert_same_files(whole, run(distil, request.model_copy(update={"training": training}), read, tmp_path / "often"))
+    often = {"checkpoint_every": 1}
+    codebook = {"codebook": {"training": often}} if kind == "acgd" else {}
+    request = synthetic.student_request(kind, synthetic.GUIDANCE[guided_by], often, **codebook)
+    assert_same_files(whole, run(distil, request, read, tmp_path / "often"))
 
 
 def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_codebook(inputs, tmp_path):
@@ -506,12 +518,7 @@ def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_codebo
     whole = run(fit, request, inputs, tmp_path / "whole")
     assert_same_files(whole, interrupted(fit, request, inputs, tmp_path / "cut"))
     often = synthetic.codebook_request(training={"checkpoint_every": 1})
-    for name in ("codebook.safetensors", "health.json", "metrics.jsonl"):
-        assert (whole / name).read_bytes() == (run_once(fit, often, inputs, tmp_path / "often") / name).read_bytes()
-
-
-def run_once(stage, request, inputs, directory: Path) -> Path:
-    return directory / "out" if directory.exists() else run(stage, request, inputs, directory)
+    assert_same_files(whole, run(fit, often, inputs, tmp_path / "often"))
 
 
 @every_student
@@ -928,7 +935,8 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
     data = loaded_data(inputs, kind, goal_image="own")
     request = synthetic.student_request(kind, imitation={"goal_image": "own"})
     sizes = {"features": 8, "proprio": synthetic.P, "actions": synthetic.A, "tasks": 1, "owns_cnn": True}
-    student = prepared_untrained(request, Sizes(**sizes))
+    torch.manual_seed(0)
+    student = new_student(request.student, request.imitation, Sizes(**sizes))
     shown = SeesImages(student)
     policy = StudentPolicy(student, None, ActingConfig(), tasks=["myo/reach"], device=CPU, rows=rows)
     stored = Demonstrations.load(rollouts, ["image", "proprio", "final_image"])
@@ -944,13 +952,6 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
         for name in ("vision", "goal", "proprio", "task"):
             assert torch.equal(getattr(seen, name)[:1], getattr(expected, name)), (t, name)
         assert len(seen.task) == (rows or 1)
-
-
-def prepared_untrained(request: StudentRequest, sizes: Sizes) -> Student:
-    from acgd.students.load import new_student
-
-    torch.manual_seed(0)
-    return new_student(request.student, request.imitation, sizes)
 
 
 @every_student
@@ -969,20 +970,12 @@ def test_images_pass_the_backbone_when_acting(kind, inputs):
 
 
 @every_student
-def test_a_loaded_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind, inputs, rollouts, tmp_path):
-    inputs = {"rollouts": rollouts, "features": rollouts, "codebook": inputs["codebook"]}
+def test_a_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind):
     for goal_image in ("off", "any"):
-        imitation = {"goal_image": goal_image}
-        if kind == "acgd":
-            book = synthetic.codebook_request(imitation=imitation)
-            inputs["codebook"] = run(fit, book, inputs, tmp_path / f"book-{goal_image}")
-        request = synthetic.student_request(kind, imitation=imitation)
-        student, folder = start(request, loaded_data(inputs, kind, **imitation), inputs, CPU), tmp_path / goal_image
-        folder.mkdir()
-        save_student(student, folder, {"best": student.state_dict()}, {"tasks": list(synthetic.TASKS)})
-        policy = StudentPolicy(
-            load_student(folder, "best", CPU), Pixels(), ActingConfig(), tasks=synthetic.TASKS, device=CPU
-        )
+        request = synthetic.student_request(kind, imitation={"goal_image": goal_image})
+        sizes = Sizes(features=synthetic.F, proprio=synthetic.P, actions=synthetic.A, tasks=2, owns_cnn=False)
+        student = new_student(request.student, request.imitation, sizes)
+        policy = StudentPolicy(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, device=CPU)
         assert policy.tasks == list(synthetic.TASKS) and policy.uses_goal == (goal_image == "any")
         if policy.uses_goal:
             with pytest.raises(ValueError, match="goal_image: off"):

@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from acgd.settings import Section, imported
+from acgd.store.key import in_key
 from acgd.store.stage import Inputs
 from acgd.students.data import Data
 from acgd.students.kinds import STUDENTS
@@ -49,8 +50,8 @@ def save_student(
         save_file({key: value.contiguous() for key, value in tensors.items()}, directory / f"{name}.safetensors")
     meta = {
         "kind": student.settings.kind,
-        "student": student.settings.model_dump(mode="json"),
-        "imitation": student.imitation.model_dump(mode="json"),
+        "student": in_key(student.settings),
+        "imitation": in_key(student.imitation),
         "sizes": asdict(student.sizes),
         **notes,
     }
