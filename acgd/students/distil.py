@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from acgd.guidance.guidance import Guidance, gradient_ratios, load_guidance, verdict
-from acgd.nn.excitation import in_action_space
+from acgd.nn.excitation import to_loss_space
 from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.key import in_key
@@ -93,8 +93,7 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         "round": request.round,
         "seed": request.seed,
         "best": {"step": best.step, PLAN_ERROR: best.score},
-        "guidance_kind": request.guidance.kind,
-        "guidance": verdict(names, guidance, ratios),
+        "guidance": {"kind": request.guidance.kind} | verdict(names, guidance, ratios),
     }
     save_student(student, ctx.out, {"best": best.weights, "last": student.state_dict()}, notes)
 
@@ -122,7 +121,7 @@ def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[st
     for t in data.windows.validation.split(VALIDATION_BATCH):
         batch = data.batch(t, generators["data"])
         plan = student.plan(batch.observation)
-        error = l1(in_action_space(plan, space), in_action_space(batch.chunk, space), batch.mask)
+        error = l1(to_loss_space(plan, space), to_loss_space(batch.chunk, space), batch.mask)
         scores = student.validate(batch) | {PLAN_ERROR: error / plan.shape[-1]}
         if guidance is not None:
             scores["validation_gain"] = guidance.gain(plan, data.reference(batch))

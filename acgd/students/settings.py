@@ -44,8 +44,8 @@ class ActingConfig(Section):
 class RoundsConfig(Section):
     """On-policy rounds: the student acts, and goes on learning from the states that it visits."""
 
-    count: int = Field(0, ge=0, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
-    episodes: int = Field(10, ge=1, description="episodes of each task in each round")
+    count: int = Field(0, ge=0, le=100, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
+    episodes: int = Field(10, ge=1, le=10_000, description="episodes of each task in each round")
     beta: Annotated[float, Field(ge=0, le=1)] = Field(
         0.5, description="with probability beta ** round the expert acts in place of the student"
     )
@@ -63,6 +63,11 @@ class CodebookRequest(Request):
     imitation: ImitationConfig
     student: StudentConfig
     seed: Annotated[int, Field(ge=0)]
+
+    @model_validator(mode="after")
+    def _a_batch_holds_every_task(self) -> "CodebookRequest":
+        _check_batch("student.codebook.training.batch", self.student.codebook.training, self.tasks)
+        return self
 
 
 class StudentRequest(Request):
@@ -85,7 +90,18 @@ class StudentRequest(Request):
         return stage == "features" or stage in (*self.student.needs, *self.guidance.needs)
 
     @model_validator(mode="after")
+    def _a_batch_holds_every_task(self) -> "StudentRequest":
+        _check_batch("training.batch", self.training, self.tasks)
+        return self
+
+    @model_validator(mode="after")
     def _rounds_of_a_later_round(self) -> "StudentRequest":
         if (self.round > 0) != (self.rounds is not None):
             raise ValueError(f"round {self.round} with rounds {self.rounds}: rounds is for round 1 and later ones")
         return self
+
+
+def _check_batch(field: str, training: TrainingConfig, tasks: list[TaskConfig]) -> None:
+    """Batches are filled task by task: a smaller one would never hold a window of the last tasks."""
+    if training.batch < len(tasks):
+        raise ValueError(f"{field} is {training.batch} for {len(tasks)} tasks: set it to {len(tasks)} or more")

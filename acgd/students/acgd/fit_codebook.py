@@ -6,7 +6,7 @@ import math
 import torch
 from torch import Tensor
 
-from acgd.nn.excitation import in_action_space
+from acgd.nn.excitation import to_loss_space
 from acgd.store.stage import Context, Inputs
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.model import Codebook
@@ -67,7 +67,7 @@ def codebook_loss(
     z_state, z_task = codebook.observer(batch.observation, noise, generator)
     decoded = codebook.decode(onehot, z_state, z_task)
     space = codebook.imitation.action_space
-    l_act = losses.act(in_action_space(decoded, space), in_action_space(batch.chunk, space), batch.mask).mean()
+    l_act = losses.act(to_loss_space(decoded, space), to_loss_space(batch.chunk, space), batch.mask).mean()
     l_code = losses.code(logits, onehot).mean()
     l_usage = losses.usage(logits)
     weights = codebook.settings.codebook
@@ -86,10 +86,10 @@ def reconstruction(codebook: Codebook, data: Data, steps: Tensor) -> dict[str, f
         batch = data.batch(t, generator)
         onehot, _ = quantizer.most_likely(codebook.encode(batch.chunk, batch.mask))
         z_state, z_task = codebook.observer(batch.observation)
-        target = in_action_space(batch.chunk, space)
+        target = to_loss_space(batch.chunk, space)
         other = onehot[torch.randperm(len(t), generator=generator, device=t.device)]
         own_errors, other_errors = (
-            losses.act(in_action_space(codebook.decode(codes, z_state, z_task), space), target, batch.mask)
+            losses.act(to_loss_space(codebook.decode(codes, z_state, z_task), space), target, batch.mask)
             for codes in (onehot, other)
         )
         error += own_errors.sum().item()

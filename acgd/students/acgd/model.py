@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from acgd.nn.block import Block
-from acgd.nn.excitation import in_action_space
+from acgd.nn.excitation import to_loss_space
 from acgd.rollouts.windows import Windows
 from acgd.store.checkpoint import Generators
 from acgd.store.key import in_key
@@ -171,7 +171,7 @@ class Codebook(nn.Module):
 
     def encode(self, chunk: Tensor, mask: Tensor) -> Tensor:
         """chunk (B, k, A), mask (B, k) -> logits of phi_act (B, G, n_c)."""
-        chunk = in_action_space(chunk, self.imitation.action_space)
+        chunk = to_loss_space(chunk, self.imitation.action_space)
         return self.quantizer.logits(self.action_encoder(chunk, mask))
 
     def decode(self, onehot: Tensor, z_state: Tensor, z_task: Tensor) -> Tensor:
@@ -265,7 +265,7 @@ class ACGD(nn.Module):
     def error(self, decoded: Tensor, batch: Batch) -> Tensor:
         """L_act of each window, (B, k, A) -> (B,)."""
         space = self.imitation.action_space
-        return losses.act(in_action_space(decoded, space), in_action_space(batch.chunk, space), batch.mask)
+        return losses.act(to_loss_space(decoded, space), to_loss_space(batch.chunk, space), batch.mask)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.nn.excitation import in_action_space
+from acgd.nn.excitation import to_loss_space
 from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
@@ -65,7 +65,7 @@ class BC(nn.Module):
     def error(self, action: Tensor, batch: Batch) -> Tensor:
         """1-norm of the error of each window, (B, 1, A) -> (B,)."""
         space = self.imitation.action_space
-        return l1(in_action_space(action, space), in_action_space(batch.chunk, space), batch.mask)
+        return l1(to_loss_space(action, space), to_loss_space(batch.chunk, space), batch.mask)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
