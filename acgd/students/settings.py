@@ -66,6 +66,8 @@ class CodebookRequest(Request):
 
     @model_validator(mode="after")
     def _a_batch_holds_every_task(self) -> "CodebookRequest":
+        if "codebook" not in self.student.needs:
+            raise ValueError(f"a student of kind {self.student.kind} has no codebook")
         _check_batch("student.codebook.training.batch", self.student.codebook.training, self.tasks)
         return self
 
