@@ -1,24 +1,25 @@
-"""What a step of student training costs, in one thread, beside the machine's matrix products: `python -m benchmarks.student`."""
+"""The cost of a step of student training in one thread, beside matrix products: `python -m benchmarks.student`."""
 
 import statistics
 import time
 from collections.abc import Callable
 
 import torch
-from acgd.students.codebook import Codebook, Sizes
-from acgd.students.guidance import Guidance
 from torch.utils.flop_counter import FlopCounterMode
 
 from acgd.critics.aggregate import AggregateCritic
+from acgd.guidance.critic.guidance import CriticGuidance, step_weights
+from acgd.guidance.critic.settings import CriticGuidanceConfig
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
 from acgd.store.precision import in_bfloat16
-from acgd.students import losses
+from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.data import Data
-from acgd.students.distil import student_losses
-from acgd.students.settings import CodebookConfig, StudentConfig
-from acgd.students.student import Student
+from acgd.students.load import new_student
+from acgd.students.settings import ImitationConfig
+from acgd.students.student import Sizes
 from acgd.students.training import adamw
+from acgd.students.training_settings import TrainingConfig
 from benchmarks.row import Row
 
 TASKS, EPISODES, LENGTH = 3, 30, 100
@@ -29,25 +30,25 @@ MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """A behaviour-cloning step and a guided one (two dueling critics of 128 units) of the default sizes, taken in turn with a matrix product.
+    """An unguided step and a guided one (two dueling critics of 128 units) of the default sizes.
 
-    Times are of the processor, so that neighbours disturb them less; the median step counts.
+    They take turns with a matrix product. Times are of the processor, so that neighbours disturb them less; the
+    median step counts.
     """
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    config, settings = CodebookConfig(), StudentConfig()
     a, b = torch.randn(GEMM, GEMM), torch.randn(GEMM, GEMM)
-    unguided, guided = (training_step(config, settings, with_critic) for with_critic in (False, True))
+    unguided, guided = (training_step(with_critic) for with_critic in (False, True))
     with FlopCounterMode(display=False) as counter:
         unguided()
     flops = counter.get_total_flops()
-    gemm_s, bc_s, guided_s = in_turn(lambda: a @ b, unguided, guided)
-    batch = settings.training.batch
-    share = flops / bc_s / (2 * GEMM**3 / gemm_s)
+    gemm_s, imitation_s, guided_s = in_turn(lambda: a @ b, unguided, guided)
+    batch = TrainingConfig().batch
+    share = flops / imitation_s / (2 * GEMM**3 / gemm_s)
     return [
         Row(
-            name="student/bc",
-            value=batch / bc_s,
+            name="student/imitation",
+            value=batch / imitation_s,
             unit="samples/s",
             ratio=share,
             target="ratio: share of the GEMM rate reached",
@@ -58,53 +59,51 @@ def run() -> list[Row]:
             name="student/guidance",
             value=batch / guided_s,
             unit="samples/s",
-            ratio=guided_s / bc_s,
-            target=f"ratio: <= {MOST_GUIDANCE:.2f} times the cost of behaviour cloning",
-            met=guided_s / bc_s <= MOST_GUIDANCE,
+            ratio=guided_s / imitation_s,
+            target=f"ratio: <= {MOST_GUIDANCE:.2f} times the cost of imitation alone",
+            met=guided_s / imitation_s <= MOST_GUIDANCE,
         ),
     ]
 
 
-def training_step(config: CodebookConfig, settings: StudentConfig, guided: bool) -> Callable[[], None]:
+def training_step(guided: bool) -> Callable[[], None]:
     """One optimiser step of stage (b), as `distil` takes it, on data of the default study's size."""
-    data = Data.of(_windows(), config)
-    student = Student.of(Codebook(config, Sizes(FEATURES, PROPRIO, ACTIONS, TASKS, owns_cnn=False)))
-    critics = AggregateCritic(
-        [Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)], settings.pessimism
+    settings, imitation, training, by_critic = ACGDConfig(), ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
+    data = Data.of(_windows(), imitation, settings.chunk, settings.history)
+    codes = torch.randint(settings.codes, (len(data.windows.task), settings.groups))
+    data = data.with_targets({"codes": codes})
+    student = new_student(settings, imitation, Sizes(FEATURES, PROPRIO, ACTIONS, TASKS, owns_cnn=False))
+    critics = [Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)]
+    guidance = CriticGuidance(
+        critic=AggregateCritic(critics, by_critic.pessimism),
+        gates=torch.ones(TASKS),
+        weights=step_weights(by_critic.guided_steps, settings.chunk, torch.device("cpu")),
+        alpha=by_critic.alpha,
+        fraction=by_critic.guided_fraction,
     )
-    guidance = (
-        Guidance(
-            critics, torch.ones(TASKS), losses.step_weights(settings.guided_steps, config.chunk, torch.device("cpu"))
-        )
-        if guided
-        else None
-    )
-    codes = torch.randint(config.codes, (len(data.windows.task), config.groups))
-    optimiser = adamw(student, settings.training)
+    optimiser = adamw(student, training)
     trained = [p for group in optimiser.param_groups for p in group["params"]]
-    generators = {name: torch.Generator().manual_seed(0) for name in ("data", "codes")}
-    rows = round(settings.training.batch * settings.guided_fraction)
+    generators = {name: torch.Generator().manual_seed(0) for name in ("data", "sample")}
+    rows = guidance.rows(training.batch) if guided else 0
+    bfloat16 = in_bfloat16(training.precision, torch.device("cpu"))
 
     def step() -> None:
-        t = data.sample(settings.training.batch, generators["data"])
-        batch = data.batch(t, generators["data"])
-        states = data.states(t[:rows]) if guided else None
-        with torch.autocast(
-            "cpu", torch.bfloat16, enabled=in_bfloat16(settings.training.precision, torch.device("cpu"))
-        ):
-            bc, distill, _ = student_losses(
-                student, batch, codes[t], guidance, states, settings.training.input_noise, generators
-            )
+        batch = data.batch(data.sample(training.batch, generators["data"]), generators["data"])
+        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+            imitated = student.imitate(batch, guided=rows, noise=training.input_noise, generators=generators)
+            loss = (batch.weight * imitated.loss).mean()
+            if guided:
+                loss = loss + (guidance.loss(imitated.proposal, data.reference(batch, rows)) / guidance.alpha).mean()
         optimiser.zero_grad(set_to_none=True)
-        (settings.alpha * bc.mean() + (distill.mean() if guided else 0)).backward()
-        torch.nn.utils.clip_grad_norm_(trained, settings.training.clip_norm, foreach=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(trained, training.clip_norm, foreach=True)
         optimiser.step()
 
     return step
 
 
 def in_turn(*calls: Callable[[], object]) -> list[float]:
-    """Median processor seconds of each call, the calls taken in turn, so that what slows the machine slows all of them."""
+    """Median processor seconds of each call. Calls take turns, so that what slows the machine slows all of them."""
     taken: list[list[float]] = [[] for _ in calls]
     for repeat in range(WARMUP + STEPS):
         for times, call in zip(taken, calls):
@@ -124,6 +123,7 @@ def _windows() -> Windows:
             "vision": torch.randn(steps, FEATURES),
             "proprio": torch.randn(steps, PROPRIO),
             "label": torch.rand(steps, ACTIONS) * 2 - 1,
+            "weight": torch.ones(steps),
             "state": torch.randn(steps, STATE),
         },
         episodes={"goal": torch.randn(episodes, FEATURES)},

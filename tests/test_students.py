@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import fields, replace
-from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ from acgd.nn.excitation import stretched_excitation
 from acgd.nn.normaliser import Normaliser
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.dataset import Demonstrations
-from acgd.store import metrics
 from acgd.store.stage import Context
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.fit_codebook import fit
@@ -34,12 +32,14 @@ from acgd.students.data import Batch, Data, Observation
 from acgd.students.distil import distil, start, validate
 from acgd.students.ensembling import ensemble
 from acgd.students.kinds import STUDENTS
-from acgd.students.load import StudentPolicy, load_policy, load_student, save_student
+from acgd.students.load import load_policy, load_student, new_student, policy_of, save_student
 from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig, StudentRequest
 from acgd.students.student import Sizes, Student
 from acgd.students.training import learning_rate, log_every
 from acgd.students.training_settings import TrainingConfig
+from acgd.tasks.settings import TaskConfig
+from acgd.store import metrics
 
 CPU = torch.device("cpu")
 STATES = (9, 12)
@@ -245,7 +245,7 @@ def test_perplexity_counts_codes_in_use():
 
 
 def test_windows_align_chunk_history_and_states_by_step(data):
-    """In the synthetic demonstrations proprio[0] is t / 10 and the action a known function of t: an off-by-one shows."""
+    """In the synthetic demonstrations proprio[0] is t / 10 and the action a function of t: an off-by-one shows."""
     t = data.windows.training[[0, 3, 17]]
     batch = data.batch(t, generator())
     reference = data.reference(batch)
@@ -326,29 +326,39 @@ def test_a_kind_refuses_the_fields_of_another():
         synthetic.student_request(guidance={"kind": "none", "alpha": 1.0})
 
 
+LEARNING = {"steps": 250, "batch": 64, "validate_every": 50, "learning_rate": 3e-3, "input_noise": 0.0}
+
+
+@pytest.fixture(scope="module")
+def learned_codebook(inputs, tmp_path_factory) -> Path:
+    request = synthetic.codebook_request(training=LEARNING)
+    return run(fit, request, inputs, tmp_path_factory.mktemp("learned-codebook"))
+
+
+def test_a_codebook_learns_a_small_dataset_and_its_codes_carry_the_chunk(learned_codebook):
+    health = json.loads((learned_codebook / "health.json").read_text())
+    assert health["reconstruction"]["training"] < 0.1 and health["shuffled_ratio"] > 2
+
+
 @every_student
 @every_guidance
-def test_a_student_learns_a_small_dataset(kind, guided_by, inputs, tmp_path):
-    rate = {"bc": 1e-2}.get(kind, 3e-3)
-    training = {"steps": 250, "batch": 64, "validate_every": 50, "learning_rate": rate, "input_noise": 0.0}
-    if kind == "acgd":
-        inputs = inputs | {"codebook": run(fit, synthetic.codebook_request(training=training), inputs, tmp_path / "a")}
-        health = json.loads((inputs["codebook"] / "health.json").read_text())
-        assert health["reconstruction"]["training"] < 0.1 and health["shuffled_ratio"] > 2
+def test_a_student_learns_a_small_dataset(kind, guided_by, inputs, learned_codebook, tmp_path):
+    training = LEARNING | ({"learning_rate": 1e-2} if kind == "bc" else {})
+    inputs = inputs | {"codebook": learned_codebook}
     guidance = synthetic.GUIDANCE[guided_by] | ({"gate": "reliable"} if guided_by == "critic" else {})
     out = distilled(synthetic.student_request(kind, guidance, training), inputs, tmp_path / "student")
     card = json.loads((out / "student.json").read_text())
-    assert (card["kind"], card["guidance_kind"], card["tasks"]) == (kind, guided_by, list(synthetic.TASKS))
+    assert (card["kind"], card["guidance"]["kind"], card["tasks"]) == (kind, guided_by, list(synthetic.TASKS))
     rows = metrics.read(out / "metrics.jsonl")
     assert {"l_act", "validation_plan_error", "validation_loss"} <= rows[-1].keys()
     assert rows[-1]["l_act"] < rows[0]["l_act"]
     if guided_by == "critic":
-        assert card["guidance"]["myo/reach"]["gate"] == 1 and card["guidance"]["myo/reach"]["counts_as_guidance"]
-        closed = {"gate": 0, "gradient_ratio": 0, "counts_as_guidance": False}
-        assert card["guidance"]["myo/obj-hold"] == closed
+        open_, closed = (card["guidance"]["tasks"][name] for name in synthetic.TASKS)
+        assert open_["gate"] == 1 and open_["counts_as_guidance"]
+        assert closed == {"gate": 0, "gradient_ratio": 0, "counts_as_guidance": False}
         assert {"l_distill", "guidance_ratio/myo/reach", "validation_gain"} <= rows[-1].keys()
     else:
-        assert card["guidance"] == {} and not {"l_distill", "validation_gain"} & rows[-1].keys()
+        assert card["guidance"] == {"kind": "none"} and not {"l_distill", "validation_gain"} & rows[-1].keys()
 
     data, learned = loaded_data(inputs, kind), load_student(out, "last", CPU)
     batch = data.batch(data.windows.training, generator())
@@ -394,8 +404,6 @@ def test_the_student_cannot_read_the_privileged_state(kind, inputs, critics):
     """Other states: the same actions, the same gradient of L_BC; and no argument could hold them."""
     student, data = prepared(kind, inputs)
     assert not {"state", "states"} & ({f.name for f in fields(Observation)} | {f.name for f in fields(Batch)})
-    for method in (StudentPolicy.act, StudentPolicy.start):
-        assert not {"state", "states"} & set(signature(method).parameters)
     settings = synthetic.student_request(kind, {"kind": "critic"}).guidance
     guidance = load_guidance(settings, inputs, chunk=data.k, device=CPU)
     t = data.sample(16, generator())
@@ -419,9 +427,15 @@ def test_the_student_cannot_read_the_privileged_state(kind, inputs, critics):
 @every_student
 def test_the_policy_passes_on_neither_state_nor_anything_else(kind, inputs):
     student, _ = prepared(kind, inputs)
-    policy = StudentPolicy(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, device=CPU)
     read = []
-    policy.policy.act = lambda obs, memory: (read.append(set(obs)), (np.zeros((2, synthetic.A)), memory))[1]
+
+    class Spy:
+        def act(self, obs, memory):
+            read.append(set(obs))
+            return np.zeros((2, synthetic.A)), memory
+
+    student.policy = lambda perception, acting: Spy()
+    policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
     obs = {"image": np.zeros((2, 4, 4, 3), np.uint8), "proprio": np.zeros((2, synthetic.P)), "state": np.zeros((2, 9))}
     policy.act(obs, None)
     assert read == [{"image", "proprio"}]
@@ -497,8 +511,10 @@ def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_byte(k
     read = read_by(request, inputs)
     whole = run(distil, request, read, tmp_path / "whole")
     assert_same_files(whole, interrupted(distil, request, read, tmp_path / "cut"))
-    training = request.training.model_copy(update={"checkpoint_every": 1})
-    assert_same_files(whole, run(distil, request.model_copy(update={"training": training}), read, tmp_path / "often"))
+    often = {"checkpoint_every": 1}
+    codebook = {"codebook": {"training": often}} if kind == "acgd" else {}
+    request = synthetic.student_request(kind, synthetic.GUIDANCE[guided_by], often, **codebook)
+    assert_same_files(whole, run(distil, request, read, tmp_path / "often"))
 
 
 def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_codebook(inputs, tmp_path):
@@ -506,12 +522,7 @@ def test_neither_an_interruption_nor_the_cadence_of_checkpoints_changes_a_codebo
     whole = run(fit, request, inputs, tmp_path / "whole")
     assert_same_files(whole, interrupted(fit, request, inputs, tmp_path / "cut"))
     often = synthetic.codebook_request(training={"checkpoint_every": 1})
-    for name in ("codebook.safetensors", "health.json", "metrics.jsonl"):
-        assert (whole / name).read_bytes() == (run_once(fit, often, inputs, tmp_path / "often") / name).read_bytes()
-
-
-def run_once(stage, request, inputs, directory: Path) -> Path:
-    return directory / "out" if directory.exists() else run(stage, request, inputs, directory)
+    assert_same_files(whole, run(fit, often, inputs, tmp_path / "often"))
 
 
 @every_student
@@ -527,7 +538,7 @@ def test_a_student_that_owns_its_cnn_reads_images(kind, critics, tmp_path):
     (name,) = [name for name in weights if name.endswith("cnn.mix.0.weight")]
     fresh = start(request, loaded_data(inputs, kind), inputs, CPU).state_dict()
     assert not torch.equal(weights[name], fresh[name])
-    policy = load_policy(out, inputs["backbone"], ActingConfig(), CPU)
+    policy = load_policy(out, inputs["backbone"], ActingConfig(), CPU, rows=2)
     images = np.zeros((2, 32, 32, 3), np.uint8)
     obs = {"image": images, "proprio": np.zeros((2, synthetic.P))}
     actions, _ = policy.act(obs, policy.start(np.array([0, 1]), images, [0, 1]))
@@ -717,7 +728,7 @@ def test_alpha_weighs_imitation_against_guidance(inputs, tmp_path):
     def ratio(alpha: float) -> float:
         guidance = {"kind": "critic", "alpha": alpha}
         out = distilled(synthetic.student_request("bc", guidance, {"steps": 1}), inputs, tmp_path / str(alpha))
-        return json.loads((out / "student.json").read_text())["guidance"]["myo/reach"]["gradient_ratio"]
+        return json.loads((out / "student.json").read_text())["guidance"]["tasks"]["myo/reach"]["gradient_ratio"]
 
     assert ratio(5.0) == pytest.approx(2 * ratio(10.0), rel=1e-4)
 
@@ -833,6 +844,16 @@ def test_schedule_warms_up_and_falls():
     assert learning_rate(99, config.model_copy(update={"schedule": "constant"})) == 1.0
 
 
+def test_a_batch_smaller_than_the_number_of_tasks_is_refused():
+    tasks = [TaskConfig(name=name) for name in (*synthetic.TASKS, "myo/key-turn")]
+    for request in (
+        synthetic.student_request(training={"batch": 2}),
+        synthetic.codebook_request(training={"batch": 2}),
+    ):
+        with pytest.raises(ValidationError, match="batch is 2 for 3 tasks: set it to 3 or more"):
+            type(request)(**dict(request) | {"tasks": tasks})
+
+
 def test_rows_of_metrics_depend_on_the_number_of_steps_alone():
     assert [log_every(steps) for steps in (1, 12, 250, 3000, 100_000)] == [1, 1, 25, 100, 100]
 
@@ -910,7 +931,7 @@ def test_rows_of_a_memory_do_not_mix():
     assert np.array_equal(both[:, 1], roll("ensemble-paper", 6, (7,))[:, 0])
 
 
-class SeesImages:
+class PlanRecorder:
     """Records what a student is shown when it plans."""
 
     def __init__(self, student: Student) -> None:
@@ -920,7 +941,7 @@ class SeesImages:
 
 
 @every_student
-@pytest.mark.parametrize("rows", [None, 3])
+@pytest.mark.parametrize("rows", [1, 3])
 def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir, tmp_path):
     """Replayed through the acting policy, every step of a stored episode gives the inputs of its training window."""
     rollouts = synthetic.rollouts(tmp_path / "r", 0, episodes=2, images=True)
@@ -928,9 +949,10 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
     data = loaded_data(inputs, kind, goal_image="own")
     request = synthetic.student_request(kind, imitation={"goal_image": "own"})
     sizes = {"features": 8, "proprio": synthetic.P, "actions": synthetic.A, "tasks": 1, "owns_cnn": True}
-    student = prepared_untrained(request, Sizes(**sizes))
-    shown = SeesImages(student)
-    policy = StudentPolicy(student, None, ActingConfig(), tasks=["myo/reach"], device=CPU, rows=rows)
+    torch.manual_seed(0)
+    student = new_student(request.student, request.imitation, Sizes(**sizes))
+    shown = PlanRecorder(student)
+    policy = policy_of(student, None, ActingConfig(), tasks=["myo/reach"], rows=rows)
     stored = Demonstrations.load(rollouts, ["image", "proprio", "final_image"])
     begin, end = int(stored.episode_ends[0]), int(stored.episode_ends[1])
     memory = policy.start(np.array([0]), stored.arrays["final_image"][1:2], [7])
@@ -943,21 +965,14 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
         expected = data.batch(torch.tensor([t]), generator()).observation
         for name in ("vision", "goal", "proprio", "task"):
             assert torch.equal(getattr(seen, name)[:1], getattr(expected, name)), (t, name)
-        assert len(seen.task) == (rows or 1)
-
-
-def prepared_untrained(request: StudentRequest, sizes: Sizes) -> Student:
-    from acgd.students.load import new_student
-
-    torch.manual_seed(0)
-    return new_student(request.student, request.imitation, sizes)
+        assert len(seen.task) == rows
 
 
 @every_student
 def test_images_pass_the_backbone_when_acting(kind, inputs):
     student, _ = prepared(kind, inputs)
-    shown = SeesImages(student)
-    policy = StudentPolicy(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, device=CPU)
+    shown = PlanRecorder(student)
+    policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
     memory = policy.start(np.array([1, 0]), np.full((2, 4, 4, 3), 9, np.uint8), [0, 1])
     for t in (1, 2):
         obs = {"image": np.full((2, 4, 4, 3), t, np.uint8), "proprio": np.full((2, synthetic.P), t, np.float32)}
@@ -969,20 +984,12 @@ def test_images_pass_the_backbone_when_acting(kind, inputs):
 
 
 @every_student
-def test_a_loaded_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind, inputs, rollouts, tmp_path):
-    inputs = {"rollouts": rollouts, "features": rollouts, "codebook": inputs["codebook"]}
+def test_a_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind):
     for goal_image in ("off", "any"):
-        imitation = {"goal_image": goal_image}
-        if kind == "acgd":
-            book = synthetic.codebook_request(imitation=imitation)
-            inputs["codebook"] = run(fit, book, inputs, tmp_path / f"book-{goal_image}")
-        request = synthetic.student_request(kind, imitation=imitation)
-        student, folder = start(request, loaded_data(inputs, kind, **imitation), inputs, CPU), tmp_path / goal_image
-        folder.mkdir()
-        save_student(student, folder, {"best": student.state_dict()}, {"tasks": list(synthetic.TASKS)})
-        policy = StudentPolicy(
-            load_student(folder, "best", CPU), Pixels(), ActingConfig(), tasks=synthetic.TASKS, device=CPU
-        )
+        request = synthetic.student_request(kind, imitation={"goal_image": goal_image})
+        sizes = Sizes(features=synthetic.F, proprio=synthetic.P, actions=synthetic.A, tasks=2, owns_cnn=False)
+        student = new_student(request.student, request.imitation, sizes)
+        policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
         assert policy.tasks == list(synthetic.TASKS) and policy.uses_goal == (goal_image == "any")
         if policy.uses_goal:
             with pytest.raises(ValueError, match="goal_image: off"):

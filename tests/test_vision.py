@@ -6,27 +6,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from acgd.vision.frames import Frames
-from acgd.vision.resnet import ResNet
 from pydantic import ValidationError
 from torch import nn
 
 from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group, write_group
+from acgd.settings import Section
 from acgd.store.key import file_digest
+from acgd.store.stage import Context
 from acgd.store.metrics import Metrics, read
 from acgd.store.progress import Progress
-from acgd.store.stage import Context
-from acgd.tasks.settings import TaskConfig
-from acgd.vision import augmentation, backbones, r3m
+from acgd.vision import backbones
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode
-from acgd.vision.settings import BackboneConfig, BackboneRequest, FeaturesConfig, FeaturesRequest
+from acgd.vision.huggingface.settings import HuggingFaceConfig
+from acgd.vision.kinds import BACKBONES
+from acgd.vision.privileged import augmentation
+from acgd.vision.privileged import backbone as privileged
+from acgd.vision.privileged.frames import Frames
+from acgd.vision.privileged.settings import PrivilegedConfig
+from acgd.vision.r3m import backbone as r3m
+from acgd.vision.r3m.resnet import ResNet
+from acgd.vision.r3m.settings import R3MConfig
+from acgd.vision.scratch.settings import ScratchConfig
+from acgd.vision.settings import BackboneRequest, FeaturesConfig, FeaturesRequest
 from acgd.vision.train import train
 
 CPU = torch.device("cpu")
-TASKS = [TaskConfig(name="myo/reach"), TaskConfig(name="myo/key-turn")]
+TASKS = ("myo/reach", "myo/key-turn")
 LAYOUT = {"target_pos": [2, 4], "key_qpos": [2, 3], "key_pos": [3, 4]}
+"""Of the state: the entries that either task declares as privileged."""
 SIZE = 24
 
 
@@ -58,8 +67,12 @@ def recorded(folder: Path, seed: int, episodes: int = 12, steps: int = 6) -> Pat
         "episode_ends": ends,
         "seed": np.arange(episodes),
     }
-    write_group(folder / "rollouts.zarr", arrays, {"reward_terms": [], "state_layout": LAYOUT})
+    write_group(folder / "rollouts.zarr", arrays, attributes(seed))
     return folder
+
+
+def attributes(task: int) -> dict:
+    return {"task": TASKS[task], "reward_terms": [], "state_layout": LAYOUT}
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +80,15 @@ def rollouts(tmp_path_factory) -> list[Path]:
     return [recorded(tmp_path_factory.mktemp(f"task-{i}"), seed=i) for i in range(2)]
 
 
-def made(folder: Path, config: BackboneConfig, rollouts: list[Path] | None = None) -> Path:
-    train(BackboneRequest(tasks=TASKS, backbone=config), {"rollouts": rollouts} if rollouts else {}, context(folder))
-    return folder / "out"
+def made(folder: Path, config: Section, rollouts: list[Path] | None = None) -> Path:
+    ctx = context(folder)
+    train(BackboneRequest(backbone=config), {"rollouts": rollouts} if rollouts else {}, ctx)
+    ctx.metrics.flush()
+    return ctx.out
 
 
-def short(**settings) -> BackboneConfig:
-    return BackboneConfig(**({"dim": 16, "steps": 6, "batch": 8, "checkpoint_every": 2} | settings))
+def short(**settings) -> PrivilegedConfig:
+    return PrivilegedConfig(**({"dim": 16, "steps": 6, "batch": 8, "checkpoint_every": 2} | settings))
 
 
 def randomised(model: nn.Module) -> nn.Module:
@@ -109,14 +124,19 @@ def backbone(request, tmp_path_factory, rollouts, r3m_file, huggingface_folder) 
     folder = tmp_path_factory.mktemp(request.param)
     config = {
         "privileged": lambda: short(),
-        "r3m": lambda: BackboneConfig(kind="r3m", path=r3m_file, size=32),
-        "huggingface": lambda: BackboneConfig(kind="huggingface", path=huggingface_folder, size=32),
+        "r3m": lambda: R3MConfig(path=r3m_file, size=32),
+        "huggingface": lambda: HuggingFaceConfig(path=huggingface_folder, size=32),
     }[request.param]()
     return made(folder, config, rollouts if request.param == "privileged" else None)
 
 
-def test_every_kind_is_in_the_registry():
-    assert set(backbones.BACKBONES) == set(BackboneConfig.model_fields["kind"].annotation.__args__)
+def test_a_request_reads_rollouts_where_the_backbone_is_trained_on_them(r3m_file, huggingface_folder):
+    paths = {"r3m": {"path": r3m_file}, "huggingface": {"path": huggingface_folder}}
+    requests = {kind: BackboneRequest(backbone={"kind": kind} | paths.get(kind, {})) for kind in BACKBONES}
+    assert [kind for kind, request in requests.items() if request.uses("rollouts")] == ["privileged"]
+    assert [kind for kind, request in requests.items() if not request.backbone.gives_features] == ["scratch"]
+    assert all(request.artifact_name("2-tasks") == kind for kind, request in requests.items())
+    assert BackboneRequest(backbone={}).backbone == PrivilegedConfig()
 
 
 def test_a_backbone_is_frozen_and_row_by_row(backbone):
@@ -144,11 +164,11 @@ def test_features_of_every_frame(backbone, rollouts, tmp_path):
 
 def test_privileged_training_finds_the_spot_in_held_out_episodes(rollouts, tmp_path):
     settings = short(steps=300, batch=32, shift=2, checkpoint_every=300)
-    found = json.loads((made(tmp_path, settings, rollouts) / "backbone.json").read_text())["tasks"]
+    scores = json.loads((made(tmp_path, settings, rollouts) / "backbone.json").read_text())["tasks"]
     pixel = 0.02 * 2 / SIZE
-    errors = {name: target["rmse"] / pixel for task in found.values() for name, target in task.items()}
-    assert max(errors.values()) < 2, errors
-    assert all(target["r2"] > 0.9 for task in found.values() for target in task.values()), found
+    errors = {name: target["rmse"] / pixel for task in scores.values() for name, target in task.items()}
+    assert set(scores) == set(TASKS) and max(errors.values()) < 2, errors
+    assert all(target["r2"] > 0.9 for task in scores.values() for target in task.values()), scores
     assert "r2/myo/reach/target_pos.0" in read(tmp_path / "out/metrics.jsonl")[-1]
 
 
@@ -161,8 +181,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(rollouts, tmp_p
 
 
 def test_an_interrupted_training_gives_the_same_bytes(rollouts, tmp_path, monkeypatch):
-    from acgd.vision import privileged
-
     whole = made(tmp_path / "whole", short(), rollouts)
     step = privileged._step
 
@@ -176,9 +194,23 @@ def test_an_interrupted_training_gives_the_same_bytes(rollouts, tmp_path, monkey
         made(tmp_path / "resumed", short(), rollouts)
     monkeypatch.setattr(privileged, "_step", step)
     resumed = made(tmp_path / "resumed", short(), rollouts)
-    for file in ("backbone.safetensors", "backbone.json"):
-        assert (whole / file).read_bytes() == (resumed / file).read_bytes()
-    assert read(whole / "metrics.jsonl") == read(resumed / "metrics.jsonl")
+    assert_same_files(whole, resumed)
+
+
+def test_the_cadence_of_checkpoints_changes_no_byte(rollouts, tmp_path):
+    rarely, often = (made(tmp_path / str(n), short(checkpoint_every=n), rollouts) for n in (100, 1))
+    assert_same_files(rarely, often)
+
+
+def assert_same_files(one: Path, other: Path) -> None:
+    for file in ("backbone.safetensors", "backbone.json", "metrics.jsonl"):
+        assert (one / file).read_bytes() == (other / file).read_bytes(), file
+
+
+def test_one_demonstration_and_one_frame_a_step_are_enough(tmp_path):
+    rollouts = [recorded(tmp_path / "r", seed=1, episodes=1, steps=3)]
+    scores = json.loads((made(tmp_path, short(batch=1, frames=1), rollouts) / "backbone.json").read_text())["tasks"]
+    assert np.isfinite([target["rmse"] for target in scores[TASKS[1]].values()]).all()
 
 
 def test_held_out_episodes_do_not_reach_the_training(rollouts, tmp_path):
@@ -188,7 +220,7 @@ def test_held_out_episodes_do_not_reach_the_training(rollouts, tmp_path):
     held_out = demos.steps_of(demos.split()[1])
     painted["image"][held_out], painted["state"][held_out] = 255, 9
     arrays = painted | {"episode_ends": demos.episode_ends, "seed": demos.seeds}
-    write_group(tmp_path / "painted/rollouts.zarr", arrays, {"reward_terms": [], "state_layout": LAYOUT})
+    write_group(tmp_path / "painted/rollouts.zarr", arrays, attributes(0))
     weights = [
         made(tmp_path / f"{i}", short(), [first, rollouts[1]]) / "backbone.safetensors"
         for i, first in enumerate((rollouts[0], tmp_path / "painted"))
@@ -197,22 +229,21 @@ def test_held_out_episodes_do_not_reach_the_training(rollouts, tmp_path):
 
 
 def test_frames_are_capped_evenly(rollouts):
-    frames = Frames.load(rollouts[0], ("target_pos",), 20, CPU)
-    assert (
-        len(frames.training) == 20 and len(frames.validation) == 5 and frames.names == ["target_pos.0", "target_pos.1"]
-    )
+    frames = Frames.load(rollouts[0], 20, CPU)
+    assert len(frames.training) == 20 and len(frames.validation) == 5
+    assert frames.task == TASKS[0] and frames.names == ["target_pos.0", "target_pos.1"]
     assert torch.allclose(frames.targets[frames.training].std(0, correction=0), torch.ones(2), atol=1e-4)
 
 
 def test_scratch_leaves_the_images_to_the_student(tmp_path):
-    out = made(tmp_path, BackboneConfig(kind="scratch"))
+    out = made(tmp_path, ScratchConfig())
     assert [f.name for f in out.iterdir()] == ["backbone.json"]
     with pytest.raises(ValueError, match="part of the student"):
         backbones.load(out, CPU)
 
 
 def test_r3m_keeps_the_checkpoint_weights_and_its_checksum(tmp_path, r3m_file):
-    out = made(tmp_path, BackboneConfig(kind="r3m", path=r3m_file, size=32))
+    out = made(tmp_path, R3MConfig(path=r3m_file, size=32))
     meta = json.loads((out / "backbone.json").read_text())
     assert meta["source_sha256"] == file_digest(r3m_file) and meta["depth"] == 18
     loaded, source = backbones.load(out, CPU), torch.load(r3m_file, weights_only=True)["r3m"]
@@ -261,22 +292,22 @@ def _place(name: str) -> tuple:
 def test_a_file_that_is_no_r3m_checkpoint_is_refused(tmp_path):
     torch.save({"r3m": {"module.convnet.conv1.weight": torch.zeros(64, 3, 7, 7)}}, tmp_path / "model.pt")
     with pytest.raises(ValueError, match="no ResNet-18.*model.pt"):
-        made(tmp_path / "a", BackboneConfig(kind="r3m", path=tmp_path / "model.pt"))
+        made(tmp_path / "a", R3MConfig(path=tmp_path / "model.pt"))
     (tmp_path / "text.pt").write_text("not a checkpoint")
     with pytest.raises(ValueError, match="no R3M checkpoint"):
-        made(tmp_path / "b", BackboneConfig(kind="r3m", path=tmp_path / "text.pt"))
+        made(tmp_path / "b", R3MConfig(path=tmp_path / "text.pt"))
 
 
 def test_a_missing_file_is_refused_by_the_configuration(tmp_path):
     with pytest.raises(ValidationError, match="set backbone.path to the checkpoint"):
-        BackboneConfig(kind="r3m", path=tmp_path / "none.pt")
+        R3MConfig(path=tmp_path / "none.pt")
     with pytest.raises(ValidationError, match="set backbone.path to a local folder"):
-        BackboneConfig(kind="huggingface")
+        HuggingFaceConfig()
 
 
-def test_fields_that_a_kind_does_not_read_are_put_back(r3m_file):
-    asked = BackboneRequest(tasks=[], backbone=BackboneConfig(kind="r3m", path=r3m_file, steps=7, seed=3))
-    assert asked.backbone == BackboneConfig(kind="r3m", path=r3m_file)
+def test_a_kind_refuses_the_fields_of_another(r3m_file):
+    with pytest.raises(ValidationError, match="steps"):
+        BackboneRequest(backbone={"kind": "r3m", "path": r3m_file, "steps": 7})
 
 
 def test_a_model_of_another_family_loads_too(tmp_path):
@@ -300,7 +331,7 @@ def test_a_model_of_another_family_loads_too(tmp_path):
     }
     model = CLIPModel(CLIPConfig(vision_config=tower, text_config=text, projection_dim=8)).eval()
     model.save_pretrained(tmp_path / "clip")
-    loaded = backbones.load(made(tmp_path, BackboneConfig(kind="huggingface", path=tmp_path / "clip", size=32)), CPU)
+    loaded = backbones.load(made(tmp_path, HuggingFaceConfig(path=tmp_path / "clip", size=32)), CPU)
     images = torch.randint(0, 255, (2, 32, 32, 3), dtype=torch.uint8)
     with torch.no_grad():
         expected = model.vision_model(loaded.preprocess(images)).pooler_output

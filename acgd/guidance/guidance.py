@@ -11,7 +11,7 @@ from acgd.guidance.kinds import GUIDANCE
 from acgd.settings import Section, imported
 from acgd.store.stage import Inputs
 
-COUNTS = 0.01
+COUNTS_FROM = 0.01
 """Below this ratio of gradient norms, guidance over imitation, a task counts as not guided."""
 
 
@@ -78,7 +78,7 @@ def verdict(names: Sequence[str], guidance: Guidance | None, ratios: Sequence[fl
     if guidance is None:
         return {}
     tasks = {
-        name: {"gate": gate, "gradient_ratio": ratio, "counts_as_guidance": ratio >= COUNTS}
+        name: {"gate": gate, "gradient_ratio": ratio, "counts_as_guidance": ratio >= COUNTS_FROM}
         for name, gate, ratio in zip(names, guidance.gates.tolist(), ratios, strict=True)
     }
-    return {"counts_from": COUNTS, "tasks": tasks}
+    return {"counts_from": COUNTS_FROM, "tasks": tasks}

@@ -14,6 +14,7 @@ from acgd.guidance.guidance import Guidance, gradient_ratios, load_guidance, ver
 from acgd.nn.excitation import to_loss_space
 from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
+from acgd.store.key import in_key
 from acgd.store.stage import Context, Inputs
 from acgd.students.data import Data
 from acgd.students.load import new_student, save_student, sizes_of
@@ -88,12 +89,11 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
     ratios = [tally.get(name, 0.0) / max(1, tally.get("rows", 0)) for name in names]
     notes = {
         "tasks": names,
-        "training": training.model_dump(mode="json", exclude={"checkpoint_every"}),
+        "training": in_key(training),
         "round": request.round,
         "seed": request.seed,
         "best": {"step": best.step, PLAN_ERROR: best.score},
-        "guidance_kind": request.guidance.kind,
-        "guidance": verdict(names, guidance, ratios),
+        "guidance": {"kind": request.guidance.kind} | verdict(names, guidance, ratios),
     }
     save_student(student, ctx.out, {"best": best.weights, "last": student.state_dict()}, notes)
 

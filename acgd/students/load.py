@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,10 +10,11 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from acgd.settings import Section, imported
 from acgd.simulate.policy import STUDENT_ENTRIES, Observations, Padded, Policy, Restricted
+from acgd.store.key import in_key
 from acgd.store.stage import Inputs
 from acgd.students.data import Data
 from acgd.students.kinds import STUDENTS
@@ -50,8 +51,8 @@ def save_student(
         save_file({key: value.contiguous() for key, value in tensors.items()}, directory / f"{name}.safetensors")
     meta = {
         "kind": student.settings.kind,
-        "student": student.settings.model_dump(mode="json"),
-        "imitation": student.imitation.model_dump(mode="json"),
+        "student": in_key(student.settings),
+        "imitation": in_key(student.imitation),
         "sizes": asdict(student.sizes),
         **notes,
     }
@@ -67,52 +68,48 @@ def load_student(directory: Path, weights: Literal["best", "last"], device: torc
     return student.to(device).eval()
 
 
+@dataclass(frozen=True)
+class StudentPolicy:
+    """A student in the simulator, by the interface of acgd.simulate.policy. No kind can read the privileged state."""
+
+    policy: Policy
+    tasks: list[str]
+    """Names; a task's place is its id."""
+    uses_goal: bool
+
+    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
+        return self.policy.start(tasks, goals, seeds)
+
+    def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
+        return self.policy.act(observations, memory)
+
+
 def load_policy(
     student_dir: Path,
     backbone_dir: Path,
     acting: ActingConfig,
     device: torch.device,
-    rows: int | None = None,
+    rows: int,
     weights: Literal["best", "last"] = "best",
-) -> "StudentPolicy":
+) -> StudentPolicy:
     """The student of an artifact and the backbone that it was trained with, ready to act.
 
-    `rows`: every computation has as many rows, so that an episode does not depend on how many others there are.
+    rows: episodes at most, and the rows of every computation.
     """
     student = load_student(student_dir, weights, device)
     backbone = None if student.sizes.owns_cnn else load_backbone(backbone_dir, device)
     tasks = json.loads((Path(student_dir) / META).read_text())["tasks"]
-    return StudentPolicy(student, backbone, acting, tasks=tasks, device=device, rows=rows)
+    return policy_of(student, backbone, acting, tasks=tasks, rows=rows)
 
 
-class StudentPolicy:
-    """A student in the simulator, given `image` and `proprio` and nothing else: no kind can read the state."""
-
-    def __init__(
-        self,
-        student: Student,
-        backbone: torch.nn.Module | None,
-        acting: ActingConfig,
-        *,
-        tasks: Sequence[str],
-        device: torch.device,
-        rows: int | None = None,
-    ) -> None:
-        """`backbone`: (B, H, W, 3) uint8 -> (B, F), None for a student that owns its CNN."""
-        self.tasks = list(tasks)
-        """Names of the tasks; a task id is a place in this list."""
-        self.uses_goal = student.imitation.goal_image != "off"
-        policy: Policy = student.policy(Perception(backbone, uses_goal=self.uses_goal, device=device), acting)
-        policy = Restricted(policy, STUDENT_ENTRIES)
-        self.policy = policy if rows is None else Padded(policy, rows)
-
-    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
-        """tasks (n,) int, goal images (n, H, W, 3) uint8 or None, seeds of the episodes -> memory."""
-        return self.policy.start(tasks, goals, seeds)
-
-    def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
-        """image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
-        return self.policy.act(observations, memory)
+def policy_of(
+    student: Student, backbone: nn.Module | None, acting: ActingConfig, *, tasks: Sequence[str], rows: int
+) -> StudentPolicy:
+    """A student ready to act. `backbone`: (B, H, W, 3) uint8 -> (B, F), None for a student that owns its CNN."""
+    uses_goal = student.imitation.goal_image != "off"
+    device = next(student.parameters()).device
+    policy = student.policy(Perception(backbone, uses_goal=uses_goal, device=device), acting)
+    return StudentPolicy(Restricted(Padded(policy, rows), STUDENT_ENTRIES), list(tasks), uses_goal)
 
 
 def _cnn_width(backbone: Path) -> int:

@@ -66,6 +66,13 @@ class CodebookRequest(Request):
     student: StudentConfig = ACGDConfig()
     seed: Annotated[int, Field(ge=0)]
 
+    @model_validator(mode="after")
+    def _a_batch_holds_every_task(self) -> "CodebookRequest":
+        if "codebook" not in self.student.needs:
+            raise ValueError(f"a student of kind {self.student.kind} has no codebook")
+        _check_batch("student.codebook.training.batch", self.student.codebook.training, self.tasks)
+        return self
+
 
 class StudentRequest(Request):
     """What the student of one round depends on besides its inputs."""
@@ -89,7 +96,18 @@ class StudentRequest(Request):
         return stage == "features" or stage in (*self.student.needs, *self.guidance.needs)
 
     @model_validator(mode="after")
+    def _a_batch_holds_every_task(self) -> "StudentRequest":
+        _check_batch("training.batch", self.training, self.tasks)
+        return self
+
+    @model_validator(mode="after")
     def _rounds_of_a_later_round(self) -> "StudentRequest":
         if (self.round > 0) != (self.rounds is not None):
             raise ValueError(f"round {self.round} with rounds {self.rounds}: rounds is for round 1 and later ones")
         return self
+
+
+def _check_batch(field: str, training: TrainingConfig, tasks: list[TaskConfig]) -> None:
+    """Batches are filled task by task: a smaller one would never hold a window of the last tasks."""
+    if training.batch < len(tasks):
+        raise ValueError(f"{field} is {training.batch} for {len(tasks)} tasks: set it to {len(tasks)} or more")

@@ -6,6 +6,7 @@ from typing import Protocol
 from torch import Tensor
 
 from acgd.settings import Section
+from acgd.simulate.policy import Policy
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
 from acgd.students.data import Batch, Data, Observation
@@ -70,5 +71,5 @@ class Student(Protocol):
     def plan(self, observation: Observation) -> Tensor:
         """The likeliest chunk (B, k, A) in the box, without a gradient."""
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> object:
-        """It acts on `image` and `proprio`: `start` and `act` of acgd.simulate.policy."""
+    def policy(self, perception: Perception, acting: ActingConfig) -> Policy:
+        """It acts on `image` and `proprio`."""

@@ -17,6 +17,7 @@ from acgd.nn.block import Block
 from acgd.nn.excitation import to_loss_space
 from acgd.rollouts.windows import Windows
 from acgd.store.checkpoint import Generators
+from acgd.store.key import in_key
 from acgd.store.stage import Inputs
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.quantizer import Quantizer
@@ -188,8 +189,8 @@ class Codebook(nn.Module):
         """Weights as safetensors, settings and sizes as JSON."""
         save_file({name: value.contiguous() for name, value in self.state_dict().items()}, directory / WEIGHTS)
         meta = {
-            "student": self.settings.model_dump(mode="json"),
-            "imitation": self.imitation.model_dump(mode="json"),
+            "student": in_key(self.settings),
+            "imitation": in_key(self.imitation),
             "sizes": asdict(self.sizes),
         }
         (directory / META).write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
