@@ -21,6 +21,7 @@ from acgd.nn.excitation import stretched_excitation
 from acgd.nn.normaliser import Normaliser
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.dataset import Demonstrations
+from acgd.store import metrics
 from acgd.store.stage import Context
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.fit_codebook import fit
@@ -39,7 +40,6 @@ from acgd.students.student import Sizes, Student
 from acgd.students.training import learning_rate, log_every
 from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
-from acgd.store import metrics
 
 CPU = torch.device("cpu")
 STATES = (9, 12)

@@ -13,9 +13,9 @@ from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_group, write_group
 from acgd.settings import Section
 from acgd.store.key import file_digest
-from acgd.store.stage import Context
 from acgd.store.metrics import Metrics, read
 from acgd.store.progress import Progress
+from acgd.store.stage import Context
 from acgd.vision import backbones
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode
