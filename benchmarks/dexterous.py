@@ -85,7 +85,7 @@ def _measure(task: str) -> list[Row]:
 
 
 def _rate(do: Callable[[], object], count: int) -> float:
-    """Per second of processor time, which is that of a core of one's own: others at work on the machine count for less."""
+    """Calls per second of processor time, so that other work on the machine counts for less."""
     for _ in range(CHUNK):
         do()
     seconds = []
@@ -98,7 +98,8 @@ def _rate(do: Callable[[], object], count: int) -> float:
 
 
 def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False) -> Callable[[], bool]:
-    """A step of random actions, or of the ends of their range; tells whether it was sound. Episodes begin anew by themselves."""
+    """A step of random actions, or of the ends of their range; tells whether it was sound. Episodes begin anew by
+    themselves."""
     seeds = iter(range(2**31))
     env.reset(seed=next(seeds))
 
@@ -144,5 +145,6 @@ def _episode(env: DexterousTask, seed: int) -> bool:
 if __name__ == "__main__":
     for row in run(sys.argv[1:] or TASKS):
         print(
-            f"{row['name']:<62}{row['value']:>9.4g} {row['unit']:<16} target {row['target']:<8} {'yes' if row['met'] else 'NO'}"
+            f"{row['name']:<62}{row['value']:>9.4g} {row['unit']:<16} target {row['target']:<8} "
+            f"{'yes' if row['met'] else 'NO'}"
         )

@@ -9,13 +9,15 @@ from acgd.nn.q_ensemble import STATE_CLIP, Critic
 
 
 class AggregateCritic(nn.Module):
-    """(Q_agg(s, a) - Q_agg(s, a_0)) . t_i: what the critic of the row's own task gives an action over a reference, in its spreads.
+    """(Q_agg(s, a) - Q_agg(s, a_0)) . t_i: what the critic of the row's own task gives an action over a reference, in
+    its spreads.
 
-    The reference, the demonstrated action, is a constant: the gradient by a is that of Q. But what the members make of the
-    state cancels, and their disagreement is about the action alone; of a dueling critic only the advantage is needed.
+    The reference, the demonstrated action, is a constant: the gradient by a is that of Q. But what the members make of
+    the state cancels, and their disagreement is about the action alone; of a dueling critic only the advantage is
+    needed.
 
-    Rows are sorted by task and padded to the most frequent one; then a layer of all members of all tasks is one
-    batched product, and no critic sees a row of another task. Weights are constants, so that gradient reaches the action alone.
+    Rows are sorted by task and padded to the most frequent one; then a layer of all members of all tasks is one batched
+    product, and no critic sees a row of another task. Weights are constants, so that gradient reaches the action alone.
     """
 
     def __init__(self, critics: list[Critic], pessimism: float) -> None:
@@ -57,7 +59,8 @@ class AggregateCritic(nn.Module):
         self.eval()
 
     def forward(self, state: Tensor, action: Tensor, reference: Tensor, task: Tensor) -> Tensor:
-        """(B, S zero-padded), (B, A) in [-1, 1] twice, (B,) long -> (B,), in spreads of each row's task; 0 where the actions are equal."""
+        """(B, S zero-padded), (B, A) in [-1, 1] twice, (B,) long -> (B,), in spreads of each row's task; 0 where the
+        actions are equal."""
         order, slot, longest = _grouping(task, self.tasks)
         state, action, reference = (
             _padded(rows[order], slot, self.tasks, longest) for rows in (state, action, reference)
@@ -72,7 +75,7 @@ class AggregateCritic(nn.Module):
         return gain.flatten()[slot][torch.argsort(order)]
 
     def _q(self, of_state: Tensor, action: Tensor) -> Tensor:
-        """What the first layer makes of the state (m * M, n, width), (m, n, A) -> (m, M, n), as the networks give it."""
+        """First layer's part of the state (m * M, n, width), actions (m, n, A) -> the networks' output (m, M, n)."""
         x = torch.baddbmm(of_state, self._per_member(to_critic_input(action, self.action_space)), self.weight_action)
         for layer in range(self.depth):
             if layer:
@@ -88,7 +91,7 @@ class AggregateCritic(nn.Module):
 
 
 def _grouping(task: Tensor, tasks: int) -> tuple[Tensor, Tensor, int]:
-    """(B,) task ids -> the order that sorts rows by task, each sorted row's place in (tasks * longest), and `longest`."""
+    """(B,) task ids -> order that sorts rows by task, place of each sorted row in (tasks * longest), and `longest`."""
     counts = torch.bincount(task, minlength=tasks)
     if len(counts) > tasks:
         raise ValueError(

@@ -19,7 +19,8 @@ STREAM = 2
 
 
 def spread(critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator) -> float:
-    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward units."""
+    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward
+    units."""
     states = states[rng.choice(len(states), min(STATES, len(states)), replace=False)]
     actions, _ = candidates(expert, states, ACTIONS, rng)
     rows = torch.from_numpy(states).repeat_interleave(ACTIONS, 0), torch.from_numpy(actions).flatten(0, 1)
@@ -29,7 +30,8 @@ def spread(critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Ge
 
 
 def save(critic: Critic, expert: Path, data: Transitions, out: Path, *, seed: int, **meta: object) -> None:
-    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into `out`.
+    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into
+    `out`.
 
     `expert`: folder of the expert. `meta`: what critic.json says besides.
     """

@@ -113,8 +113,8 @@ def check(folder: Path) -> dict[str, Any]:
     card, critic = read(folder), folder / zoo.CRITIC_FOLDER / zoo.CRITIC[1]
     if critic.is_file() and json.loads(critic.read_text()).get("expert_sha256") != card["sha256"]:
         raise ValueError(
-            f"{critic.parent} holds the critic of another policy than {folder / POLICY}: restore both from the repository, "
-            "or remove that folder, fit the critic again (critic.kind: fqe) and put the files of that artifact there"
+            f"{critic.parent} holds the critic of another policy than {folder / POLICY}: restore both from the "
+            "repository, or remove that folder, fit the critic again (critic.kind: fqe) and put its files there"
         )
     return card
 

@@ -9,8 +9,8 @@ from acgd.tasks.spec import TASKS
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 POLICY = ("policy.safetensors", "policy.json")
 CRITIC = ("critic.safetensors", "critic.json")
-"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER the
-one that was fitted to the frozen expert."""
+"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER
+the one that was fitted to the frozen expert."""
 CARD = ("card.json", "curve.csv")
 FILES = POLICY + CARD
 CRITIC_FOLDER = "critic"
