@@ -571,7 +571,7 @@ def test_an_experts_critics_are_measured_like_fitted_ones(tmp_path: Path, expert
 def test_the_zoos_critic_is_that_of_the_zoos_expert_alone(tmp_path: Path):
     name = "opdex/spray-1"
     request = CriticRequest(task=TaskConfig(name=name), critic=ZooCriticSettings())
-    assert request.files() == zoo.critic_files(name) and CriticRequest(task=TASK).files() == ()
+    assert request.files() == zoo.fitted_critic(name) and CriticRequest(task=TASK).files() == ()
     ctx = context(tmp_path)
     fit(request, {"expert": zoo.folder(name)}, ctx)
     assert sorted(path.name for path in ctx.out.iterdir()) == sorted(zoo.CRITIC)

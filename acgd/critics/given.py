@@ -19,7 +19,7 @@ from acgd.tasks.spec import TASKS
 
 def from_zoo(request: CriticRequest, expert: Path, ctx: Context) -> None:
     """Copies the critic in zoo/. Raises ValueError where it was fitted to another expert than `expert`."""
-    weights, meta = zoo.critic_files(request.task.name)
+    weights, meta = zoo.fitted_critic(request.task.name)
     if json.loads(meta.read_text())["expert_sha256"] != file_digest(expert / zoo.POLICY[0]):
         raise ValueError(
             f"critic.kind is zoo, but the expert of {request.task.name} is not that of the zoo: set "

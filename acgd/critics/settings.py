@@ -122,7 +122,7 @@ class ZooCriticSettings(Section):
 
     def files(self, task: str) -> tuple[Path, ...]:
         """The critic."""
-        return zoo.critic_files(task)
+        return zoo.fitted_critic(task)
 
     def faults(self, task: str, expert: Any) -> Iterator[str]:
         """No such critic, or another expert than that of the zoo."""

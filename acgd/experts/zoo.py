@@ -32,7 +32,7 @@ def card_files(task: str) -> tuple[Path, ...]:
     return tuple(folder(task) / name for name in CARD)
 
 
-def critic_files(task: str) -> tuple[Path, ...]:
+def fitted_critic(task: str) -> tuple[Path, ...]:
     """The critic that was fitted to a task's expert."""
     return tuple(folder(task) / CRITIC_FOLDER / name for name in CRITIC)
 
@@ -54,7 +54,7 @@ def has_own_critics(task: str) -> bool:
 
 def has_fitted_critic(task: str) -> bool:
     """Whether the zoo has a critic that was fitted to that expert."""
-    return all(path.is_file() for path in critic_files(task))
+    return all(path.is_file() for path in fitted_critic(task))
 
 
 def tasks_with(there: Callable[[str], bool]) -> str:
