@@ -493,7 +493,7 @@ SMALLEST = dict(members=1, width=1, depth=1, steps=1, updates=1, batch=1, branch
 @pytest.mark.parametrize(
     "settings",
     [
-        dict(branches={"states": 0}),
+        dict(branches={"states": 0}, spread="near"),
         dict(branches={"states": 1, "actions": 2, "steps": 1}, within_state_unit="distance", state_noise=0.5),
         dict(branches={"states": 1, "actions": 9, "steps": 1}, dueling=False, checkpoint_every=1, within_state=0.0),
         dict(branches={"states": 0}, perturbation={"clean": 0, "gaussian": 0, "bursts": 1, "burst_every": 1}),
@@ -545,10 +545,11 @@ def test_the_unit_of_q_is_the_spread_over_actions_of_a_state_not_over_states(exp
             return (1e4 * state[:, 0] + 3.0 * action[:, 0])[None]
 
     states = np.random.default_rng(0).standard_normal((600, expert.hidden1.in_features)).astype(np.float32)
-    actions, _ = candidates(expert, states, 16, np.random.default_rng(1))
-    assert spread(Known(), expert, states, np.random.default_rng(2)) == pytest.approx(
-        3.0 * np.median(actions[:, :, 0].std(1, ddof=1)), rel=0.1
-    )
+    actions, sources = candidates(expert, states, 16, np.random.default_rng(1))
+    near = [source != "uniform" for source in sources]
+    for over, counted in (("all", [True] * 16), ("near", near)):
+        wanted = 3.0 * np.median(actions[:, counted, 0].std(1, ddof=1))
+        assert spread(Known(), expert, states, np.random.default_rng(2), over) == pytest.approx(wanted, rel=0.1)
 
 
 def test_a_ppo_expert_has_no_critics(tmp_path: Path, expert: Expert):

@@ -32,8 +32,8 @@ def fit(request: CriticRequest, expert: Path, ctx: Context) -> None:
     data = simulated_once(ctx.state, simulate)
     fitted = FittedQ(data, settings, policy.meta["gamma"], ctx.device)
     _train(fitted, ctx)
-    meta = {"task": request.task.name, "source": settings.kind, "branched_states": len(fitted.groups)}
-    spread.save(fitted.critic.eval(), expert, data, ctx.out, seed=settings.seed, **meta)
+    meta = {"task": request.task.name, "branched_states": len(fitted.groups)}
+    spread.save(fitted.critic.eval(), expert, data, ctx.out, settings, **meta)
 
 
 def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, progress: Progress) -> Transitions:

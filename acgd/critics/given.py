@@ -50,5 +50,5 @@ def from_expert(request: CriticRequest, expert: Path, ctx: Context) -> None:
             )[0]  # fmt: skip
 
     data = simulated_once(ctx.state, gather)
-    meta = {"task": request.task.name, "source": settings.kind, "branched_states": 0}
-    spread.save(Critic.load(expert), expert, data, ctx.out, seed=settings.seed, **meta)
+    meta = {"task": request.task.name, "branched_states": 0}
+    spread.save(Critic.load(expert), expert, data, ctx.out, settings, **meta)

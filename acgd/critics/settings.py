@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -45,6 +45,15 @@ class BranchConfig(Section):
     steps: PositiveInt = Field(
         16, description="Simulator steps of a branch, its first action included, before Q is bootstrapped."
     )
+
+
+Spread = Annotated[
+    Literal["all", "near"],
+    Field(
+        description="Candidate actions whose Q sets the unit of guidance: all sixteen, of which three are uniform in the "
+        "box, or only those near the expert's."
+    ),
+]
 
 
 class FQESettings(Section):
@@ -92,6 +101,7 @@ class FQESettings(Section):
         description="Standard deviation of Gaussian noise on normalised states in both regressions, one draw for all "
         "actions of a branched state.",
     )
+    spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")
     checkpoint_every: PositiveInt = Field(
         1000, description="Updates between two checkpoints.", json_schema_extra=OUTSIDE_KEY
@@ -145,6 +155,7 @@ class ExpertCriticSettings(Section):
     kind: Literal["expert"] = "expert"
     steps: PositiveInt = Field(6000, description="Simulator steps of these rollouts, to the end of the last episode.")
     perturbation: PerturbationConfig = PerturbationConfig()
+    spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of perturbations and of the actions whose Q is compared.")
 
     def files(self, task: str) -> tuple[Path, ...]:
