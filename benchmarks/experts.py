@@ -107,7 +107,7 @@ def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
             started = time.process_time()
             do()
             seconds[name].append((time.process_time() - started) / UPDATES)
-    return {name: statistics.median(found[1:]) for name, found in seconds.items()}
+    return {name: statistics.median(result[1:]) for name, result in seconds.items()}
 
 
 def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:

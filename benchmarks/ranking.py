@@ -65,7 +65,7 @@ def _measure(task: str) -> list[Row]:
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
         for data, steps in ((tried, tail), (tried_beside, tail), (tried, branched))
     )
-    found = {f"{DISTANCE:g} rad or m away": beside, f"after {branched} of {tail} steps": early}
+    orders = {f"{DISTANCE:g} rad or m away": beside, f"after {branched} of {tail} steps": early}
     return [
         Row(
             name=f"ranking/{task}: {what}",
@@ -75,7 +75,7 @@ def _measure(task: str) -> list[Row]:
             target="",
             met=None,
         )
-        for what, other in found.items()
+        for what, other in orders.items()
     ]
 
 

@@ -101,7 +101,7 @@ def test_targets_are_the_hand_computed_ones():
     reward = np.array([1, 2, 4, 8, 1, 1], np.float32)
     terminated = np.array([0, 0, 0, 1, 0, 0], bool)
     on_policy = np.array([1, 0, 1, 1, 1, 1], bool)
-    found = targets(reward, terminated, on_policy, np.array([4, 6]), gamma=0.5, horizon=10)
+    result = targets(reward, terminated, on_policy, np.array([4, 6]), gamma=0.5, horizon=10)
     next_value = torch.tensor([[10.0, 20.0, 30.0, 40.0, 50.0, 60.0]])
     expected = [
         1 + 0.5 * 10,  # the next action is perturbed: bootstrap at once
@@ -111,13 +111,13 @@ def test_targets_are_the_hand_computed_ones():
         1 + 0.5 * 1 + 0.25 * 60,  # past the time limit
         1 + 0.5 * 60,
     ]
-    assert found(next_value).tolist() == [expected]
+    assert result(next_value).tolist() == [expected]
 
 
 def test_horizon_one_is_one_step_fitted_q_evaluation():
     reward, on_policy = np.array([1, 2, 3], np.float32), np.ones(3, bool)
-    found = targets(reward, np.array([0, 0, 1], bool), on_policy, np.array([3]), gamma=0.5, horizon=1)
-    assert found(torch.tensor([[10.0, 20.0, 30.0]])).tolist() == [[6.0, 12.0, 3.0]]
+    result = targets(reward, np.array([0, 0, 1], bool), on_policy, np.array([3]), gamma=0.5, horizon=1)
+    assert result(torch.tensor([[10.0, 20.0, 30.0]])).tolist() == [[6.0, 12.0, 3.0]]
 
 
 def test_fit_recovers_the_q_of_a_linear_problem():
@@ -216,7 +216,7 @@ def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
 
 def test_branches_of_a_state_share_one_bootstrap():
     # Two states, two branches of one step each; the second state's second branch terminates.
-    found = targets(
+    result = targets(
         np.array([1, 2, 3, 4], np.float32),
         np.array([0, 0, 0, 1], bool),
         np.zeros(4, bool),
@@ -225,7 +225,7 @@ def test_branches_of_a_state_share_one_bootstrap():
         horizon=9,
     )
     value = torch.tensor([[10.0, 20.0, 30.0, 40.0]])
-    z = branch_targets(found, value, torch.tensor([[0, 1], [2, 3]]))
+    z = branch_targets(result, value, torch.tensor([[0, 1], [2, 3]]))
     assert z.tolist() == [[1 + 0.5 * 15, 2 + 0.5 * 15], [3 + 0.5 * 30, 4]]
 
 
@@ -284,7 +284,7 @@ def test_critic_comes_back_as_it_was_saved(tmp_path: Path, dueling: bool):
 
 
 @pytest.mark.parametrize("dueling", [(False, False, False), (True, True, True), (True, False, True)])
-def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: tuple[bool, ...]):
+def test_aggregate_is_the_critic_of_each_rows_task_in_its_units(dueling: tuple[bool, ...]):
     critics = [a_critic(size, seed, dueling=dueling[seed]) for seed, size in enumerate((5, 8, 6))]
     task = torch.tensor([2, 0, 2, 2, 0, 2])  # task 1 is absent, the others are unbalanced
     action, reference = (torch.rand(6, 3) * 2 - 1 for _ in range(2))
@@ -296,13 +296,13 @@ def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: tuple[bool,
     for row, t in enumerate(task):
         seen = state[row : row + 1, : critics[t].shape["state_dim"]]
         # `shift` cancels, and would only cost digits.
-        own = (
+        by_member = (
             critics[t].scale
             * (critics[t].standard(seen, action[row : row + 1]) - critics[t].standard(seen, reference[row : row + 1]))[
                 :, 0
             ]
         )
-        expected = (own.mean() - 0.5 * own.std(correction=0)) / critics[t].spread
+        expected = (by_member.mean() - 0.5 * by_member.std(correction=0)) / critics[t].spread
         assert float(gain[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
     assert aggregate(state, reference, reference, task).abs().max() < 1e-5
 
@@ -376,9 +376,9 @@ def test_within_state_correlation_of_perfect_and_shuffled_values():
 
 
 def test_interval_is_students():
-    found = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
-    assert found["mean"] == pytest.approx(0.2) and found["states"] == 3
-    assert found["high"] - found["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
+    result = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
+    assert result["mean"] == pytest.approx(0.2) and result["states"] == 3
+    assert result["high"] - result["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
 
 
 def test_discounted_returns():
@@ -425,10 +425,10 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
         tried = branches(lock.envs, expert, [visit], actions, 5, bar)
     assert sources == ["mean", "sample", "gaussian 0.1", "gaussian 0.2", "gaussian 0.4", "uniform"]
     assert tried.branch[tried.starts].tolist() == [0] * 6 and (tried.branch == ROLLOUT).sum() == len(tried) - 6
-    own = slice(0, tried.ends[0])
-    # Up to rounding: the expert was asked for two states at a time, and is now asked for four.
-    assert np.allclose(tried.reward[own], data.reward[step : step + tried.ends[0]], atol=1e-4)
-    assert np.allclose(tried.next_state[own], data.next_state[step : step + tried.ends[0]], atol=1e-4)
+    repeated = slice(0, tried.ends[0])
+    # Up to rounding: the batch of the expert has two states there and four here.
+    assert np.allclose(tried.reward[repeated], data.reward[step : step + tried.ends[0]], atol=1e-4)
+    assert np.allclose(tried.next_state[repeated], data.next_state[step : step + tried.ends[0]], atol=1e-4)
     assert np.array_equal(tried.state[tried.starts], np.repeat(visit.state[None], 6, 0))
     assert np.array_equal(tried.action[tried.starts], actions[0]) and np.abs(tried.action).max() <= 1
     assert not np.array_equal(tried.next_state[tried.starts[1]], tried.next_state[0])
@@ -470,7 +470,7 @@ def fit_and_measure(expert: Path, ctx: Context, critic, quality: QualityConfig, 
 
 def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
     expert.save(tmp_path)
-    found = fit_and_measure(tmp_path, context(tmp_path, "whole"), TINY, FEW)
+    result = fit_and_measure(tmp_path, context(tmp_path, "whole"), TINY, FEW)
     with pytest.raises(KeyboardInterrupt):
         fit_and_measure(tmp_path, context(tmp_path, "killed", Interrupting(QUIET.stream)), TINY, FEW)
     fit_and_measure(tmp_path, context(tmp_path, "killed"), TINY, FEW)
@@ -480,9 +480,9 @@ def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes(), name
     curves = [read(tmp_path / f"{name}.jsonl") for name in ("whole", "killed")]
     assert curves[0] == curves[1] and [row["step"] for row in curves[0]] == [1, 6, 11]
-    assert found["within_state"]["candidates"] == 5 and found["within_state"]["states"] <= 4
-    assert found["within_state"]["low"] <= found["within_state"]["mean"] <= found["within_state"]["high"]
-    assert found["spread"] > 0 and found["bellman_error"] > 0
+    assert result["within_state"]["candidates"] == 5 and result["within_state"]["states"] <= 4
+    assert result["within_state"]["low"] <= result["within_state"]["mean"] <= result["within_state"]["high"]
+    assert result["spread"] > 0 and result["bellman_error"] > 0
     critic = Critic.load(tmp_path / "whole")
     assert critic.meta["task"] == TASK.name and critic.meta["simulator_steps"] >= 60
 
@@ -502,8 +502,8 @@ SMALLEST = dict(members=1, width=1, depth=1, steps=1, updates=1, batch=1, branch
 def test_the_smallest_settings_run(tmp_path: Path, expert: Expert, settings: dict):
     expert.save(tmp_path)
     quality = QualityConfig(states=2, candidates=4, tail=1)
-    found = fit_and_measure(tmp_path, context(tmp_path), FQESettings(**SMALLEST, **settings), quality)
-    assert all(np.isfinite(value) for value in found.values() if isinstance(value, float))
+    result = fit_and_measure(tmp_path, context(tmp_path), FQESettings(**SMALLEST, **settings), quality)
+    assert all(np.isfinite(value) for value in result.values() if isinstance(value, float))
     assert all(value.isfinite().all() for value in Critic.load(tmp_path / "out").state_dict().values())
 
 
@@ -562,10 +562,10 @@ def test_an_experts_critics_are_measured_like_fitted_ones(tmp_path: Path, expert
     expert.save(tmp_path)
     Critic(expert.hidden1.in_features, 39, 2, 16, 2).save(tmp_path)
     ctx = context(tmp_path)
-    found = fit_and_measure(tmp_path, ctx, ExpertCriticSettings(steps=60), FEW)
+    result = fit_and_measure(tmp_path, ctx, ExpertCriticSettings(steps=60), FEW)
     meta = json.loads((ctx.out / "critic.json").read_text())
     assert meta["source"] == "expert" and meta["branched_states"] == 0
-    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= found.keys()
+    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= result.keys()
     assert Critic.load(ctx.out).spread > 0
 
 

@@ -322,19 +322,19 @@ def test_training_goes_on_from_another_task_s_expert_and_refuses_one_that_does_n
     request = small("ppo", "myo/reach-hard", width=256, warm_start="myo/reach")
     first = Expert.load(zoo.folder("myo/reach"))
     states = np.random.default_rng(0).normal(size=(4, first.hidden1.in_features)).astype(np.float32)
-    found = []
+    result = []
     with pytest.MonkeyPatch.context() as patch, open(tmp_path / "log", "w") as log:
         start = ppo._start_from
 
         def starting(expert, name, model, venv):
             start(expert, name, model, venv)
-            found.append(ppo.export(model, venv, {}).mean(states))
+            result.append(ppo.export(model, venv, {}).mean(states))
             raise Killed
 
         patch.setattr(ppo, "_start_from", starting)
         with pytest.raises(Killed):
             ppo.train_ppo(request, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
-        assert found[0] == pytest.approx(first.mean(states), abs=1e-4)
+        assert result[0] == pytest.approx(first.mean(states), abs=1e-4)
         narrow = small("ppo", "myo/reach-hard", warm_start="myo/reach")
         with pytest.raises(ValueError, match="warm_start.*myo/reach.*width"):
             ppo.train_ppo(narrow, tmp_path, Metrics(tmp_path / "metrics.jsonl"), Progress(log))
@@ -498,7 +498,7 @@ def test_sampled_actions_stay_in_the_box_and_spread_around_the_mean():
 
 @pytest.fixture
 def entry(tmp_path, monkeypatch):
-    """A copy of one zoo entry, in a zoo of its own."""
+    """A copy of one zoo entry, in an otherwise empty zoo."""
     source = zoo.folder("myo/reach")
     monkeypatch.setattr(zoo, "ROOT", tmp_path)
     return shutil.copytree(source, tmp_path / "myo-reach")
@@ -625,10 +625,10 @@ def test_a_trained_experts_card_says_how_it_was_trained(tmp_path):
 def test_success_counts_with_wilsons_interval():
     """8 of 10 have [0.490, 0.943]; all of 10 have a width, too."""
     rows = [{"final": i < 8, "held": True, "once": False} for i in range(10)]
-    found = card.success(rows)
-    assert found["final"] == pytest.approx({"successes": 8, "rate": 0.8, "low": 0.4902, "high": 0.9433}, abs=1e-4)
-    assert found["held"]["high"] == 1.0 and found["held"]["low"] == pytest.approx(0.7225, abs=1e-4)
-    assert found["once"]["low"] == 0.0 and found["once"]["high"] == pytest.approx(1 - 0.7225, abs=1e-4)
+    result = card.success(rows)
+    assert result["final"] == pytest.approx({"successes": 8, "rate": 0.8, "low": 0.4902, "high": 0.9433}, abs=1e-4)
+    assert result["held"]["high"] == 1.0 and result["held"]["low"] == pytest.approx(0.7225, abs=1e-4)
+    assert result["once"]["low"] == 0.0 and result["once"]["high"] == pytest.approx(1 - 0.7225, abs=1e-4)
     for counts in ((1, 0), (-1, 3), (4, 3)):
         with pytest.raises(ValueError, match="at least one episode"):
             wilson(*counts)

@@ -50,8 +50,8 @@ class BranchConfig(Section):
 Spread = Annotated[
     Literal["all", "near"],
     Field(
-        description="Candidate actions whose Q sets the unit of guidance: all sixteen, of which three are uniform in the "
-        "box, or only those near the expert's."
+        description="Candidate actions whose Q sets the unit of guidance: all sixteen, of which three are uniform in "
+        "the box, or only those near the expert's."
     ),
 ]
 
@@ -171,7 +171,7 @@ class ExpertCriticSettings(Section):
             yield (
                 f"critic.kind: {what} has no critics, only an off-policy learner trains them. Set critic.kind: fqe, "
                 f"expert.kind: sac, or take a task whose expert in zoo/ has critics: "
-                f"{zoo.tasks_with(zoo.has_own_critics)}."
+                f"{zoo.tasks_with(zoo.has_learned_critics)}."
             )
 
 

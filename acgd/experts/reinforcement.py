@@ -66,10 +66,10 @@ class ReinforcementSettings(LearnerSettings):
                 f"expert.warm_start: zoo/ has no expert for {self.first_task}. "
                 f"Leave it empty, or take one that it has: {zoo.tasks_with(zoo.has_expert)}."
             )
-        elif self.first_task and self.learns_critics and not zoo.has_own_critics(self.first_task):
+        elif self.first_task and self.learns_critics and not zoo.has_learned_critics(self.first_task):
             yield (
                 f"expert.warm_start: the expert in zoo/ for {self.first_task} has no critics for {self.algorithm} to "
-                f"go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_own_critics)}."
+                f"go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
             )
         if self.warm_start == "muscle":
             yield from without_controller(task, "expert.warm_start", "Leave it empty")

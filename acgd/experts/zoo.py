@@ -23,7 +23,7 @@ def folder(task: str) -> Path:
 
 def policy_files(task: str) -> tuple[Path, ...]:
     """The policy, and the critics that were trained beside it, if any."""
-    critics = CRITIC if has_own_critics(task) else ()
+    critics = CRITIC if has_learned_critics(task) else ()
     return tuple(folder(task) / name for name in POLICY + critics)
 
 
@@ -47,7 +47,7 @@ def has_expert(task: str) -> bool:
     return not missing(task)
 
 
-def has_own_critics(task: str) -> bool:
+def has_learned_critics(task: str) -> bool:
     """Whether that expert comes with critics that were trained beside its policy."""
     return all((folder(task) / name).is_file() for name in CRITIC)
 
