@@ -83,7 +83,11 @@ def measured(folder: Path, task: TaskConfig, count: int) -> dict[str, Any]:
 def success(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """Successes, rate and 95% Wilson interval of episodes, by rule."""
     counts = {rule: sum(bool(row[rule]) for row in rows) for rule in RULES}
-    return {rule: {"successes": count, **wilson(count, len(rows))._asdict()} for rule, count in counts.items()}
+    rates = {rule: wilson(count, len(rows)) for rule, count in counts.items()}
+    return {
+        rule: {"successes": counts[rule], "rate": rate.rate, "low": rate.low, "high": rate.high}
+        for rule, rate in rates.items()
+    }
 
 
 def write(card: dict[str, Any], folder: Path) -> None:
