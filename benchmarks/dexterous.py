@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from acgd.tasks import registry
+from acgd.tasks.cameras import CAMERAS
 from acgd.tasks.dexterous import DexterousTask
-from acgd.tasks.rendering.renderer import Renderer
+from acgd.tasks.rendering import Renderer
 from benchmarks.row import Row
 
 TASKS = tuple(name for name, spec in registry.TASKS.items() if spec.suite in ("bidex", "opdex"))
@@ -39,7 +40,7 @@ def _measure(task: str) -> list[Row]:
     env = registry.make(task, image_size=None)
     least = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
-    renderer = Renderer(env.model, camera=env.task.code().CAMERA, size=SIZE)
+    renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)
     frames = _rate(lambda: renderer.render(env.data), FRAMES)
     faults, growth = _soundness(env)
     lucky = sum(_episode(env, seed) for seed in range(EPISODES))
@@ -84,7 +85,7 @@ def _measure(task: str) -> list[Row]:
 
 
 def _rate(do: Callable[[], object], count: int) -> float:
-    """Per second of processor time, so that other work on the machine counts for less."""
+    """Calls per second of processor time, so that other work on the machine counts for less."""
     for _ in range(CHUNK):
         do()
     seconds = []
@@ -97,7 +98,8 @@ def _rate(do: Callable[[], object], count: int) -> float:
 
 
 def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False) -> Callable[[], bool]:
-    """A step of random actions, or of the ends of their range; it returns whether it was sound. Episodes restart."""
+    """A step of random actions, or of the ends of their range; tells whether it was sound. Episodes begin anew by
+    themselves."""
     seeds = iter(range(2**31))
     env.reset(seed=next(seeds))
 

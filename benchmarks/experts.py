@@ -1,5 +1,5 @@
-"""Training experts in one thread: SAC's updates beside stable-baselines3's at equal sizes, and where a step's time goes:
-`python -m benchmarks.experts`."""
+"""Training experts in one thread: SAC's updates beside stable-baselines3's at equal sizes, and where a step's time
+goes: `python -m benchmarks.experts`."""
 
 import statistics
 import time
@@ -10,8 +10,9 @@ import gymnasium
 import numpy as np
 import torch
 
+from acgd.experts.sac.settings import SACSettings
 from acgd.experts.sac.update import SACUpdate
-from acgd.experts.settings import ExpertRequest, SACConfig
+from acgd.experts.settings import ExpertRequest
 from acgd.experts.training_env import StateOnly
 from acgd.tasks.settings import TaskConfig
 from benchmarks.row import Row
@@ -26,15 +27,16 @@ LEAST_RATIO = 2.0
 
 
 def run() -> list[Row]:
-    """Updates per second of the default settings, with the same sizes in stable-baselines3 as the reference of the ratio;
-    then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the reference."""
+    """Updates per second of the default settings, with the same sizes in stable-baselines3 as the reference of the
+    ratio; then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the
+    reference."""
     torch.set_num_threads(1)
     ours = {
-        "SAC, default": SACConfig(),
-        "SAC, a policy update with every critic update": SACConfig(actor_every=1),
-        "SAC, float32": SACConfig(precision="float32"),
+        "SAC, default": SACSettings(),
+        "SAC, a policy update with every critic update": SACSettings(actor_every=1),
+        "SAC, float32": SACSettings(precision="float32"),
     }
-    work = {name: _ours(sac) for name, sac in ours.items()} | {"stock": _stock(SACConfig())}
+    work = {name: _ours(sac) for name, sac in ours.items()} | {"stock": _stock(SACSettings())}
     rates = {name: 1 / seconds for name, seconds in _alternating(work).items()}
     rows = [
         Row(name=f"experts/{name}", value=rates[name], unit="updates/s", ratio=rates[name] / rates["stock"],
@@ -52,15 +54,20 @@ def run() -> list[Row]:
             met=None,
         )
     )
-    return [*rows, *_steps(SACConfig(), rates["SAC, default"])]
+    return [*rows, *_steps(SACSettings(), rates["SAC, default"])]
 
 
-def _ours(sac: SACConfig) -> Callable[[], None]:
+def _ours(sac: SACSettings) -> Callable[[], None]:
     learner = SACUpdate(STATE_DIM, ACTION_DIM, sac, torch.Generator().manual_seed(0))
     g = torch.Generator().manual_seed(1)
     n = sac.batch
-    batch = (torch.randn(n, STATE_DIM, generator=g), torch.rand(n, ACTION_DIM, generator=g) * 2 - 1, torch.randn(n, generator=g),
-             torch.randn(n, STATE_DIM, generator=g), torch.full((n,), sac.gamma))  # fmt: skip
+    batch = (
+        torch.randn(n, STATE_DIM, generator=g),
+        torch.rand(n, ACTION_DIM, generator=g) * 2 - 1,
+        torch.randn(n, generator=g),
+        torch.randn(n, STATE_DIM, generator=g),
+        torch.full((n,), sac.gamma),
+    )
     return lambda: [learner.update(batch) for _ in range(UPDATES)]
 
 
@@ -71,7 +78,7 @@ class _Nothing(gymnasium.Env):
     action_space = gymnasium.spaces.Box(-1, 1, (ACTION_DIM,), np.float32)
 
 
-def _stock(sac: SACConfig) -> Callable[[], None]:
+def _stock(sac: SACSettings) -> Callable[[], None]:
     from stable_baselines3 import SAC
     from stable_baselines3.common.logger import configure
 
@@ -100,12 +107,12 @@ def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
             started = time.process_time()
             do()
             seconds[name].append((time.process_time() - started) / UPDATES)
-    return {name: statistics.median(found[1:]) for name, found in seconds.items()}
+    return {name: statistics.median(result[1:]) for name, result in seconds.items()}
 
 
-def _steps(sac: SACConfig, updates_per_second: float) -> list[Row]:
+def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
     """Of one environment: its own step, the physics in it, and a step of training with its share of updates."""
-    env = StateOnly(ExpertRequest(task=TaskConfig(name=TASK)), 0)
+    env = StateOnly(ExpertRequest(task=TaskConfig(name=TASK), expert=sac), 0)
     env.reset()
     base, rng = env.unwrapped.base, np.random.default_rng(0)
     import mujoco

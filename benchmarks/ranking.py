@@ -2,8 +2,7 @@
 
 Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic:
 sixteen actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is
-smooth in the state cannot follow. And the difference may arise later than the end of the branches that a critic is
-fitted to.
+smooth in the state cannot follow. And what decides may come later than the branches that a critic is fitted to.
 """
 
 import sys
@@ -16,15 +15,15 @@ import numpy as np
 from acgd.critics.gather import Visit, branches, candidates, rollouts
 from acgd.critics.quality import discounted, one_per_episode
 from acgd.critics.ranks import rank_correlations
-from acgd.critics.settings import CriticConfig
+from acgd.critics.settings import FQESettings, QualityConfig
 from acgd.experts import zoo
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
-from acgd.store.progress import Progress
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE
+from acgd.store.progress import Progress
 from benchmarks.row import Row
 
 TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))
@@ -40,15 +39,15 @@ def run(tasks: Sequence[str] = TASKS) -> list[Row]:
 
 
 def _measure(task: str) -> list[Row]:
-    config, rng = CriticConfig(), np.random.default_rng(0)
-    expert, tail = Expert.load(zoo.folder(task)), config.quality.tail
+    quality, branched, rng = QualityConfig(), FQESettings().branches.steps, np.random.default_rng(0)
+    expert, tail = Expert.load(zoo.folder(task)), quality.tail
     gamma = expert.meta["gamma"]
     lock = Lockstep(TaskConfig(name=task), ENVIRONMENTS, image_size=None, reward_weights=expert.meta["reward_weights"])
     with Progress(open("/dev/null", "w"))(1, task) as bar:
         _, visits, _ = rollouts(
             lock,
             expert,
-            config.perturbation,
+            quality.perturbation,
             SEEDS.validation,
             limit=registry.TASKS[task].horizon,
             episodes=STATES,
@@ -56,15 +55,17 @@ def _measure(task: str) -> list[Row]:
             bar=bar,
         )
         here = one_per_episode(visits, rng)
-        actions = candidates(expert, np.stack([visit.state for visit in here]), config.quality.candidates, rng)[0]
+        actions = candidates(expert, np.stack([visit.state for visit in here]), quality.candidates, rng)[0]
 
         tried = branches(lock, expert, here, actions, tail, bar)
-        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
+        tried_beside = branches(
+            lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar
+        )
     whole, beside, early = (
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
-        for data, steps in ((tried, tail), (tried_beside, tail), (tried, config.branches.steps))
+        for data, steps in ((tried, tail), (tried_beside, tail), (tried, branched))
     )
-    found = {f"{DISTANCE:g} rad or m away": beside, f"after {config.branches.steps} of {tail} steps": early}
+    orders = {f"{DISTANCE:g} rad or m away": beside, f"after {branched} of {tail} steps": early}
     return [
         Row(
             name=f"ranking/{task}: {what}",
@@ -74,7 +75,7 @@ def _measure(task: str) -> list[Row]:
             target="",
             met=None,
         )
-        for what, other in found.items()
+        for what, other in orders.items()
     ]
 
 

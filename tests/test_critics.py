@@ -11,15 +11,29 @@ from pydantic import ValidationError
 
 from acgd.critics import quality
 from acgd.critics.aggregate import AggregateCritic
-from acgd.critics.fit import fit, own, spread
+from acgd.critics.fit import fit
 from acgd.critics.fitted_q import FittedQ, branch_targets
 from acgd.critics.gather import branches, candidates, rollouts
 from acgd.critics.perturbations import kinds, offsets
-from acgd.critics.settings import BranchConfig, CriticConfig, CriticRequest, PerturbationConfig, QualityConfig
+from acgd.critics.quality import measure
+from acgd.critics.settings import (
+    BranchConfig,
+    CriticRequest,
+    ExpertCriticSettings,
+    FQESettings,
+    PerturbationConfig,
+    QualityConfig,
+    QualityRequest,
+    ZooCriticSettings,
+)
+from acgd.critics.spread import spread
 from acgd.critics.targets import targets
 from acgd.critics.transitions import ROLLOUT, Transitions, concatenate
 from acgd.experts import zoo
 from acgd.experts.policy import Expert
+from acgd.experts.sac.settings import SACSettings
+from acgd.experts.settings import ZooSettings
+from acgd.nn.excitation import stretched_excitation, to_critic_input, to_loss_space
 from acgd.nn.q_ensemble import Critic
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
@@ -31,14 +45,15 @@ from acgd.tasks.settings import TaskConfig
 CPU = torch.device("cpu")
 QUIET = Progress(open("/dev/null", "w"))
 TASK = TaskConfig(name="myo/pen-twirl")
-TINY = CriticConfig(
+TINY = FQESettings(
     width=16, steps=60, updates=12, batch=16, branch_batch=2, target_every=5, checkpoint_every=4, horizon=8,
-    branches=BranchConfig(states=3, actions=3, steps=3), quality=QualityConfig(states=4, candidates=5, tail=4),
+    branches=BranchConfig(states=3, actions=3, steps=3),
 )  # fmt: skip
+FEW = QualityConfig(states=4, candidates=5, tail=4)
 
 
 def linear_problem(rows: int = 1500, terminal: bool = False) -> Transitions:
-    """s' = 0.8 s + 0.2 a, r = s + 0.5 a, expert a = 0; each row is its own episode, cut by a time limit or terminated."""
+    """s' = 0.8 s + 0.2 a, r = s + 0.5 a, expert a = 0; each row is an episode, cut by a time limit or terminated."""
     rng = np.random.default_rng(0)
     state, action = (rng.uniform(-1, 1, (rows, 1)).astype(np.float32) for _ in range(2))
     return Transitions(
@@ -48,7 +63,7 @@ def linear_problem(rows: int = 1500, terminal: bool = False) -> Transitions:
     )  # fmt: skip
 
 
-def fitted(data: Transitions, config: CriticConfig, gamma: float = 0.9) -> Critic:
+def fitted(data: Transitions, config: FQESettings, gamma: float = 0.9) -> Critic:
     fit = FittedQ(data, config, gamma, CPU)
     while fit.step < config.updates:
         fit.update()
@@ -86,7 +101,7 @@ def test_targets_are_the_hand_computed_ones():
     reward = np.array([1, 2, 4, 8, 1, 1], np.float32)
     terminated = np.array([0, 0, 0, 1, 0, 0], bool)
     on_policy = np.array([1, 0, 1, 1, 1, 1], bool)
-    found = targets(reward, terminated, on_policy, np.array([4, 6]), gamma=0.5, horizon=10)
+    result = targets(reward, terminated, on_policy, np.array([4, 6]), gamma=0.5, horizon=10)
     next_value = torch.tensor([[10.0, 20.0, 30.0, 40.0, 50.0, 60.0]])
     expected = [
         1 + 0.5 * 10,  # the next action is perturbed: bootstrap at once
@@ -96,20 +111,20 @@ def test_targets_are_the_hand_computed_ones():
         1 + 0.5 * 1 + 0.25 * 60,  # past the time limit
         1 + 0.5 * 60,
     ]
-    assert found(next_value).tolist() == [expected]
+    assert result(next_value).tolist() == [expected]
 
 
 def test_horizon_one_is_one_step_fitted_q_evaluation():
     reward, on_policy = np.array([1, 2, 3], np.float32), np.ones(3, bool)
-    found = targets(reward, np.array([0, 0, 1], bool), on_policy, np.array([3]), gamma=0.5, horizon=1)
-    assert found(torch.tensor([[10.0, 20.0, 30.0]])).tolist() == [[6.0, 12.0, 3.0]]
+    result = targets(reward, np.array([0, 0, 1], bool), on_policy, np.array([3]), gamma=0.5, horizon=1)
+    assert result(torch.tensor([[10.0, 20.0, 30.0]])).tolist() == [[6.0, 12.0, 3.0]]
 
 
 def test_fit_recovers_the_q_of_a_linear_problem():
     # V(s) = s / (1 - 0.8 * 0.5) = 5/3 s;  Q(s, a) = s + 0.5 a + 0.5 V(0.8 s + 0.2 a) = 5/3 s + 2/3 a
     critic = fitted(
         linear_problem(),
-        CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=500, batch=64, target_every=20, lr=5e-3),
+        FQESettings(action_space="raw", weight_decay=0.0, width=32, updates=500, batch=64, target_every=20, lr=5e-3),
         gamma=0.5,
     )
     state = torch.tensor([[0.5], [-0.5], [0.2], [0.0]])
@@ -121,7 +136,7 @@ def test_fit_recovers_the_q_of_a_linear_problem():
 def test_terminated_transitions_are_worth_their_reward():
     critic = fitted(
         linear_problem(terminal=True),
-        CriticConfig(action_space="raw", weight_decay=0.0, width=32, updates=600, batch=128, lr=3e-3),
+        FQESettings(action_space="raw", weight_decay=0.0, width=32, updates=600, batch=128, lr=3e-3),
     )
     state, action = torch.tensor([[0.5], [-0.5]]), torch.tensor([[0.0], [0.5]])
     assert torch.allclose(critic(state, action), torch.tensor([0.5, -0.25]).expand(2, -1), atol=0.05)
@@ -129,7 +144,7 @@ def test_terminated_transitions_are_worth_their_reward():
 
 def test_q_is_in_reward_units():
     # Rewards 1000 times as large: the same critic up to rounding, with 1000 times the values.
-    data, config = linear_problem(200), CriticConfig(action_space="raw", width=16, updates=40, batch=32)
+    data, config = linear_problem(200), FQESettings(action_space="raw", width=16, updates=40, batch=32)
     small, large = fitted(data, config), fitted(replace(data, reward=1000 * data.reward), config)
     state, action = torch.tensor([[0.5]]), torch.tensor([[0.3]])
     assert torch.allclose(1000 * small(state, action), large(state, action), rtol=1e-2)
@@ -143,10 +158,11 @@ def test_a_dueling_critic_ranks_actions_where_the_value_of_states_drowns_them():
     state = np.repeat(rng.uniform(-1, 1, (200, 1)), 4, 0).astype(np.float32)
     action = rng.uniform(-1, 1, (800, 1)).astype(np.float32)
     data = replace(
-        linear_problem(800), state=state, action=action, terminated=np.ones(800, bool), branch=np.repeat(np.arange(200), 4),
+        linear_problem(800), state=state, action=action, terminated=np.ones(800, bool),
+        branch=np.repeat(np.arange(200), 4),
         reward=(30 * np.sin(3 * state) + 0.05 * action)[:, 0],
     )  # fmt: skip
-    config = CriticConfig(
+    config = FQESettings(
         action_space="raw",
         weight_decay=0.0,
         width=16,
@@ -184,20 +200,23 @@ def test_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path):
     stopped = FittedQ(data, TINY, 0.9, CPU)
     for _ in range(7):  # between two refreshes of the targets
         stopped.update()
-    stopped.save(tmp_path / "fit.safetensors")
+    stopped.save(tmp_path / "stopped")
     resumed = FittedQ(data, TINY, 0.9, CPU)
-    resumed.resume(tmp_path / "fit.safetensors")
+    resumed.resume(tmp_path / "nothing")
+    assert resumed.step == 0
+    resumed.resume(tmp_path / "stopped")
     assert resumed.step == 7
     for _ in range(4):
         resumed.update()
-    whole.save(tmp_path / "whole.safetensors")
-    resumed.save(tmp_path / "resumed.safetensors")
-    assert (tmp_path / "whole.safetensors").read_bytes() == (tmp_path / "resumed.safetensors").read_bytes()
+    whole.save(tmp_path / "whole")
+    resumed.save(tmp_path / "resumed")
+    files = [tmp_path / name / "checkpoint.safetensors" for name in ("whole", "resumed")]
+    assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_branches_of_a_state_share_one_bootstrap():
     # Two states, two branches of one step each; the second state's second branch terminates.
-    found = targets(
+    result = targets(
         np.array([1, 2, 3, 4], np.float32),
         np.array([0, 0, 0, 1], bool),
         np.zeros(4, bool),
@@ -206,14 +225,15 @@ def test_branches_of_a_state_share_one_bootstrap():
         horizon=9,
     )
     value = torch.tensor([[10.0, 20.0, 30.0, 40.0]])
-    z = branch_targets(found, value, torch.tensor([[0, 1], [2, 3]]))
+    z = branch_targets(result, value, torch.tensor([[0, 1], [2, 3]]))
     assert z.tolist() == [[1 + 0.5 * 15, 2 + 0.5 * 15], [3 + 0.5 * 30, 4]]
 
 
 def test_differences_in_units_of_the_actions_distance():
-    """Two states with actions at 0, 0.1 and 1; returns climb by 2 and by 4 per unit of action, in the second state but for the last."""
+    """Two states with actions at 0, 0.1 and 1. Returns climb by 2 per unit of action; by 4, but for the last action."""
     data = replace(
-        linear_problem(6), action=np.array([[0], [0.1], [1], [0], [0.1], [1]], np.float32), reward=np.array([0, 0.2, 2, 0, 0.4, 0.4], np.float32),
+        linear_problem(6), action=np.array([[0], [0.1], [1], [0], [0.1], [1]], np.float32),
+        reward=np.array([0, 0.2, 2, 0, 0.4, 0.4], np.float32),
         terminated=np.ones(6, bool), branch=np.array([0, 0, 0, 1, 1, 1]),
     )  # fmt: skip
     fit = FittedQ(data, TINY.model_copy(update={"action_space": "raw", "within_state_unit": "distance"}), 0.9, CPU)
@@ -264,7 +284,7 @@ def test_critic_comes_back_as_it_was_saved(tmp_path: Path, dueling: bool):
 
 
 @pytest.mark.parametrize("dueling", [(False, False, False), (True, True, True), (True, False, True)])
-def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: tuple[bool, ...]):
+def test_aggregate_is_the_critic_of_each_rows_task_in_its_units(dueling: tuple[bool, ...]):
     critics = [a_critic(size, seed, dueling=dueling[seed]) for seed, size in enumerate((5, 8, 6))]
     task = torch.tensor([2, 0, 2, 2, 0, 2])  # task 1 is absent, the others are unbalanced
     action, reference = (torch.rand(6, 3) * 2 - 1 for _ in range(2))
@@ -276,13 +296,13 @@ def test_aggregate_is_each_rows_own_critic_in_its_own_units(dueling: tuple[bool,
     for row, t in enumerate(task):
         seen = state[row : row + 1, : critics[t].shape["state_dim"]]
         # `shift` cancels, and would only cost digits.
-        own = (
+        by_member = (
             critics[t].scale
             * (critics[t].standard(seen, action[row : row + 1]) - critics[t].standard(seen, reference[row : row + 1]))[
                 :, 0
             ]
         )
-        expected = (own.mean() - 0.5 * own.std(correction=0)) / critics[t].spread
+        expected = (by_member.mean() - 0.5 * by_member.std(correction=0)) / critics[t].spread
         assert float(gain[row].detach()) == pytest.approx(float(expected.detach()), rel=1e-4, abs=1e-5)
     assert aggregate(state, reference, reference, task).abs().max() < 1e-5
 
@@ -338,7 +358,7 @@ def test_shares_that_do_not_sum_to_one_are_refused():
     with pytest.raises(ValidationError, match="make the three shares sum to 1"):
         PerturbationConfig(clean=0.9)
     with pytest.raises(ValidationError, match="wdth"):
-        CriticConfig(wdth=1)
+        FQESettings(wdth=1)
 
 
 # -- quality ---------------------------------------------------------------------------------------
@@ -356,9 +376,9 @@ def test_within_state_correlation_of_perfect_and_shuffled_values():
 
 
 def test_interval_is_students():
-    found = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
-    assert found["mean"] == pytest.approx(0.2) and found["states"] == 3
-    assert found["high"] - found["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
+    result = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
+    assert result["mean"] == pytest.approx(0.2) and result["states"] == 3
+    assert result["high"] - result["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
 
 
 def test_discounted_returns():
@@ -405,10 +425,10 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
         tried = branches(lock, expert, [visit], actions, 5, bar)
     assert sources == ["mean", "sample", "gaussian 0.1", "gaussian 0.2", "gaussian 0.4", "uniform"]
     assert tried.branch[tried.starts].tolist() == [0] * 6 and (tried.branch == ROLLOUT).sum() == len(tried) - 6
-    own = slice(0, tried.ends[0])
-    # Up to rounding: the expert was asked for two states at a time, and is now asked for four.
-    assert np.allclose(tried.reward[own], data.reward[step : step + tried.ends[0]], atol=1e-4)
-    assert np.allclose(tried.next_state[own], data.next_state[step : step + tried.ends[0]], atol=1e-4)
+    repeated = slice(0, tried.ends[0])
+    # Up to rounding: the batch of the expert has two states there and four here.
+    assert np.allclose(tried.reward[repeated], data.reward[step : step + tried.ends[0]], atol=1e-4)
+    assert np.allclose(tried.next_state[repeated], data.next_state[step : step + tried.ends[0]], atol=1e-4)
     assert np.array_equal(tried.state[tried.starts], np.repeat(visit.state[None], 6, 0))
     assert np.array_equal(tried.action[tried.starts], actions[0]) and np.abs(tried.action).max() <= 1
     assert not np.array_equal(tried.next_state[tried.starts[1]], tried.next_state[0])
@@ -432,33 +452,89 @@ class Interrupting(Progress):
         return bar
 
 
+def context(folder: Path, name: str = "out", progress: Progress = QUIET) -> Context:
+    out, state = folder / name, folder / f"{name}-state"
+    out.mkdir(exist_ok=True)
+    state.mkdir(exist_ok=True)
+    return Context(out, state, Metrics(folder / f"{name}.jsonl"), progress, CPU)
+
+
+def fit_and_measure(expert: Path, ctx: Context, critic, quality: QualityConfig, task: TaskConfig = TASK) -> dict:
+    """Both stages into one folder; returns quality.json."""
+    with ctx.metrics:
+        fit(CriticRequest(task=task, critic=critic), {"expert": expert}, ctx)
+        inputs = {"expert": expert, "critic": ctx.out}
+        measure(QualityRequest(task=task, quality=quality), inputs, ctx)
+    return json.loads((ctx.out / "quality.json").read_text())
+
+
 def test_the_stage_resumes_to_the_same_bytes(tmp_path: Path, expert: Expert):
     expert.save(tmp_path)
-    request = CriticRequest(task=TASK, critic=TINY)
-
-    def run(name: str, progress: Progress) -> Path:
-        out, state = tmp_path / name, tmp_path / f"{name}-state"
-        out.mkdir(exist_ok=True)
-        state.mkdir(exist_ok=True)
-        with Metrics(out / "metrics.jsonl") as metrics:
-            fit(request, {"expert": tmp_path}, Context(out, state, metrics, progress, CPU))
-        return out
-
-    whole = run("whole", QUIET)
+    result = fit_and_measure(tmp_path, context(tmp_path, "whole"), TINY, FEW)
     with pytest.raises(KeyboardInterrupt):
-        run("killed", Interrupting(QUIET.stream))
-    resumed = run("killed", QUIET)
-    names = sorted(path.name for path in whole.iterdir())
-    assert names == ["critic.json", "critic.safetensors", "metrics.jsonl", "quality.json", "within_state.csv"]
+        fit_and_measure(tmp_path, context(tmp_path, "killed", Interrupting(QUIET.stream)), TINY, FEW)
+    fit_and_measure(tmp_path, context(tmp_path, "killed"), TINY, FEW)
+    names = sorted(path.name for path in (tmp_path / "whole").iterdir())
+    assert names == ["critic.json", "critic.safetensors", "quality.json", "within_state.csv"]
     for name in names:
-        assert (whole / name).read_bytes() == (resumed / name).read_bytes(), name
-    found = json.loads((whole / "quality.json").read_text())
-    assert found["within_state"]["candidates"] == 5 and found["within_state"]["states"] <= 4
-    assert found["within_state"]["low"] <= found["within_state"]["mean"] <= found["within_state"]["high"]
-    assert found["spread"] > 0 and found["bellman_error"] > 0
-    assert [row["step"] for row in read(whole / "metrics.jsonl")] == [1, 6, 11]
-    critic = Critic.load(whole)
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes(), name
+    curves = [read(tmp_path / f"{name}.jsonl") for name in ("whole", "killed")]
+    assert curves[0] == curves[1] and [row["step"] for row in curves[0]] == [1, 6, 11]
+    assert result["within_state"]["candidates"] == 5 and result["within_state"]["states"] <= 4
+    assert result["within_state"]["low"] <= result["within_state"]["mean"] <= result["within_state"]["high"]
+    assert result["spread"] > 0 and result["bellman_error"] > 0
+    critic = Critic.load(tmp_path / "whole")
     assert critic.meta["task"] == TASK.name and critic.meta["simulator_steps"] >= 60
+
+
+SMALLEST = dict(members=1, width=1, depth=1, steps=1, updates=1, batch=1, branch_batch=1, target_every=1, horizon=1)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        dict(branches={"states": 0}, spread="near"),
+        dict(branches={"states": 1, "actions": 2, "steps": 1}, within_state_unit="distance", state_noise=0.5),
+        dict(branches={"states": 1, "actions": 9, "steps": 1}, dueling=False, checkpoint_every=1, within_state=0.0),
+        dict(branches={"states": 0}, perturbation={"clean": 0, "gaussian": 0, "bursts": 1, "burst_every": 1}),
+    ],
+)
+def test_the_smallest_settings_run(tmp_path: Path, expert: Expert, settings: dict):
+    expert.save(tmp_path)
+    quality = QualityConfig(states=2, candidates=4, tail=1)
+    result = fit_and_measure(tmp_path, context(tmp_path), FQESettings(**SMALLEST, **settings), quality)
+    assert all(np.isfinite(value) for value in result.values() if isinstance(value, float))
+    assert all(value.isfinite().all() for value in Critic.load(tmp_path / "out").state_dict().values())
+
+
+def test_of_too_few_states_with_an_order_nothing_is_known():
+    assert quality.interval(np.array([np.nan, 0.4])) == {"mean": 0.4, "low": -1.0, "high": 1.0, "states": 1}
+    assert quality.interval(np.array([np.nan])) == {"mean": 0.0, "low": -1.0, "high": 1.0, "states": 0}
+
+
+def test_settings_that_cannot_be_met_are_refused():
+    with pytest.raises(ValidationError, match="Raise critic.steps, or lower critic.branches.states"):
+        FQESettings(steps=10)
+    with pytest.raises(ValidationError, match="Raise quality.perturbation.clean or quality.states"):
+        QualityConfig(states=4, perturbation={"clean": 0.2, "gaussian": 0.5, "bursts": 0.3})
+    few = PerturbationConfig(clean=0.2, gaussian=0.5, bursts=0.3)
+    assert "clean" in [name for (name, _), _ in zip(kinds(few), range(5))]
+
+
+@pytest.mark.parametrize(
+    ("critic", "expert", "task", "fault"),
+    [
+        (FQESettings(), ZooSettings(), "myo/reach", None),
+        (ZooCriticSettings(), ZooSettings(), "myo/reach", None),
+        (ZooCriticSettings(), SACSettings(), "myo/reach", "myo/reach trains one. Set critic.kind: fqe"),
+        (ExpertCriticSettings(), SACSettings(), "myo/reach", None),
+        (ExpertCriticSettings(), ZooSettings(), "myo/pen-twirl", None),
+        (ExpertCriticSettings(), ZooSettings(), "myo/reach", "the expert in zoo/ for myo/reach has no critics"),
+    ],
+)
+def test_a_critic_that_there_is_not_is_a_fault_with_its_mend(critic, expert, task: str, fault: str | None):
+    faults = list(zoo.faults([(task, expert, critic)]))
+    assert not faults if fault is None else len(faults) == 1 and fault in faults[0]
 
 
 def test_the_unit_of_q_is_the_spread_over_actions_of_a_state_not_over_states(expert: Expert):
@@ -469,46 +545,47 @@ def test_the_unit_of_q_is_the_spread_over_actions_of_a_state_not_over_states(exp
             return (1e4 * state[:, 0] + 3.0 * action[:, 0])[None]
 
     states = np.random.default_rng(0).standard_normal((600, expert.hidden1.in_features)).astype(np.float32)
-    actions, _ = candidates(expert, states, 16, np.random.default_rng(1))
-    assert spread(Known(), expert, states, np.random.default_rng(2)) == pytest.approx(
-        3.0 * np.median(actions[:, :, 0].std(1, ddof=1)), rel=0.1
-    )
+    actions, sources = candidates(expert, states, 16, np.random.default_rng(1))
+    near = [source != "uniform" for source in sources]
+    for over, counted in (("all", [True] * 16), ("near", near)):
+        wanted = 3.0 * np.median(actions[:, counted, 0].std(1, ddof=1))
+        assert spread(Known(), expert, states, np.random.default_rng(2), over) == pytest.approx(wanted, rel=0.1)
 
 
-def test_a_ppo_expert_has_no_critics_of_its_own(tmp_path: Path):
-    with pytest.raises(ValueError, match="critic.source.*sac.*fqe"):
-        own(tmp_path / "nowhere")
+def test_a_ppo_expert_has_no_critics(tmp_path: Path, expert: Expert):
+    expert.save(tmp_path)
+    with pytest.raises(ValueError, match="critic.kind.*sac.*fqe"):
+        fit(CriticRequest(task=TASK, critic=ExpertCriticSettings()), {"expert": tmp_path}, context(tmp_path))
 
 
-def test_an_experts_own_critics_are_measured_like_fitted_ones(tmp_path: Path, expert: Expert):
+def test_an_experts_critics_are_measured_like_fitted_ones(tmp_path: Path, expert: Expert):
     expert.save(tmp_path)
     Critic(expert.hidden1.in_features, 39, 2, 16, 2).save(tmp_path)
-    out, state = tmp_path / "out", tmp_path / "state"
-    out.mkdir(), state.mkdir()
-    request = CriticRequest(task=TASK, critic=TINY.model_copy(update={"source": "expert"}))
-    with Metrics(out / "metrics.jsonl") as metrics:
-        fit(request, {"expert": tmp_path}, Context(out, state, metrics, QUIET, CPU))
-    meta = json.loads((out / "critic.json").read_text())
+    ctx = context(tmp_path)
+    result = fit_and_measure(tmp_path, ctx, ExpertCriticSettings(steps=60), FEW)
+    meta = json.loads((ctx.out / "critic.json").read_text())
     assert meta["source"] == "expert" and meta["branched_states"] == 0
-    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= json.loads(
-        (out / "quality.json").read_text()
-    ).keys()
-    assert Critic.load(out).spread > 0
+    assert {"rank_correlation_monte_carlo", "within_state", "bellman_error"} <= result.keys()
+    assert Critic.load(ctx.out).spread > 0
 
 
 def test_the_zoos_critic_is_that_of_the_zoos_expert_alone(tmp_path: Path):
     name = "opdex/spray-1"
-    request = CriticRequest(task=TaskConfig(name=name), critic=CriticConfig(source="zoo"))
-    out = tmp_path / "out"
-    out.mkdir()
-
-    def run(expert: Path) -> None:
-        with Metrics(tmp_path / "metrics.jsonl") as metrics:
-            fit(request, {"expert": expert}, Context(out, tmp_path, metrics, QUIET, CPU))
-
-    run(zoo.folder(name))
-    critic, expert = Critic.load(out), Expert.load(zoo.folder(name))
+    request = CriticRequest(task=TaskConfig(name=name), critic=ZooCriticSettings())
+    assert request.files() == zoo.fitted_critic(name) and CriticRequest(task=TASK).files() == ()
+    ctx = context(tmp_path)
+    fit(request, {"expert": zoo.folder(name)}, ctx)
+    assert sorted(path.name for path in ctx.out.iterdir()) == sorted(zoo.CRITIC)
+    critic, expert = Critic.load(ctx.out), Expert.load(zoo.folder(name))
     assert critic.meta["task"] == name and critic.shape["state_dim"] == expert.hidden1.in_features
-    assert json.loads((out / "quality.json").read_text())["within_state"]["states"] > 1
-    with pytest.raises(ValueError, match="critic.source.*fqe"):
-        run(zoo.folder("opdex/spray-2"))
+    with pytest.raises(ValueError, match="critic.kind.*fqe"):
+        fit(request, {"expert": zoo.folder("opdex/spray-2")}, ctx)
+
+
+def test_the_two_excitations_differ_and_agree_on_raw_actions():
+    """Students compare actions in units of the box; the published critics read 2 u - 1."""
+    ends, some = torch.tensor([-1.0, 1.0]), torch.linspace(-1, 1, 9)
+    assert stretched_excitation(ends).tolist() == pytest.approx([-1, 1], abs=1e-6)
+    assert to_critic_input(ends, "excitation").tolist() == pytest.approx([-0.99889, 0.84828], abs=1e-5)
+    assert torch.equal(to_loss_space(some, "excitation"), stretched_excitation(some))
+    assert to_loss_space(some, "raw") is some and to_critic_input(some, "raw") is some

@@ -5,12 +5,12 @@ import pytest
 
 from acgd.experts.muscle import detour_search
 from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
-from acgd.experts.settings import DaggerConfig
+from acgd.experts.muscle.settings import ControllerSettings
 from acgd.simulate.seeds import SEEDS
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 
-TEACHER = DaggerConfig(rate=2.5, damping=0.3)
+TEACHER = ControllerSettings(rate=2.5, damping=0.3)
 
 
 def test_the_shipped_detour_scores_better_than_the_straight_way():
@@ -26,11 +26,11 @@ def test_the_shipped_detour_scores_better_than_the_straight_way():
 def test_a_search_repeats_itself_and_moves():
     """From FIRST, by more than nothing and less than its spread."""
     one, two = (
-        [next(found) for _ in range(2)][-1]
-        for found in (detour_search.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
+        [next(generations) for _ in range(2)][-1]
+        for generations in (detour_search.search("myo/pose", TEACHER, population=4, episodes=1) for _ in range(2))
     )
     assert np.array_equal(one.detour.posture, two.detour.posture) and (one.score, one.rate) == (two.score, two.rate)
-    assert 0 < np.abs(one.detour.posture).max() < 3 * detour_search.SPREAD and one.generation == 2
+    assert 0 < np.abs(one.detour.posture).max() < 3 * detour_search.SPREAD and one.number == 2
 
 
 def test_vector_and_detour_are_inverse():

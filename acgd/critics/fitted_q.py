@@ -18,23 +18,26 @@ ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3
 """Of a state's entry: below it the entry is taken for a constant."""
 NEAREST = 0.1
-"""Share of the median distance between two actions that is added to each: the closest would else have all the weight."""
+"""Share of the median distance between two actions that is added to each: the closest would else have all the
+weight."""
 
 
 class FittedQ:
     """The state of the fit: critic, optimiser, targets, generator and the number of updates done.
 
-    Each of the `target_every` periods freezes Q_target and recomputes y for all transitions at once, which is
-    cheaper than one target network's pass per update, and the same method. Two regressions are summed, both in
-    standardised returns:
+    Every `target_every` updates Q_target becomes Q, and y is recomputed for all transitions at once. That is cheaper
+    than a pass of a target network in every update, and the same method. The loss is the sum of two regressions, both
+    in standardised returns:
     - (Q(s, a) - y)^2 over all transitions;
-    - (dQ - dz)^2 / (spread of z in the state)^2 over branched states, where d is the difference from the mean over
-      the actions tried in that state. The value of the state, which dominates the first, is not in the second. Or, where
-      `within_state_unit` says so, d is the difference of two of these actions and its unit their distance times the slope of z
-      in the state: otherwise the actions far from the expert's, whose returns differ most, drown the order of those near it.
-      z is y with one bootstrap for all branches of the state, the mean over those that did not terminate: the
-      expert has brought them together by then, and what Q_target still sees between them is its own error (on
-      myo/reach, 16-step branches rank actions at .95 of the full returns so, at .74 with y).
+    - (dQ - dz)^2 / unit^2 over branched states. The value of the state, which dominates the first, is not in it.
+      `within_state_unit: spread`: d is the difference from the mean over the actions tried in that state, and the unit
+      is the spread of z in the state. `distance`: d is the difference of two of these actions, and the unit is their
+      distance times the slope of z in the state. Under `spread`, actions far from the expert's, whose returns differ
+      most, drown the order of those near it.
+
+    z is y with one bootstrap for all branches of the state, the mean over those that did not terminate. The expert has
+    brought the branches together by then, and what Q_target still sees between them is its own error: on myo/reach,
+    16-step branches rank actions at .95 of the full returns with z, at .74 with y.
     The advantage of a dueling critic is in units of the median spread of z in a state.
     """
 
@@ -75,7 +78,8 @@ class FittedQ:
         critic.scale.copy_(returns.std().clamp_min(1e-6))
 
     def update(self) -> dict[str, float]:
-        """One gradient step. Returns losses and targets, in standardised returns, every `target_every` updates, else nothing."""
+        """One gradient step. Returns losses and targets, in standardised returns, every `target_every` updates, else
+        nothing."""
         losses = {}
         if self.step % self.config.target_every == 0:
             losses = self.refresh()
@@ -105,8 +109,8 @@ class FittedQ:
         return losses
 
     def _blurred(self, state: Tensor) -> Tensor:
-        """Adds noise to normalised states (batch + G' K, S): one draw per state, shared by its K actions. This regularises the
-        advantage."""
+        """Adds noise to normalised states (batch + G' K, S): one draw per state, shared by its K actions. This
+        regularises the advantage."""
         if not self.config.state_noise:
             return state
         single, actions = self.config.batch, self.config.branches.actions
@@ -158,7 +162,8 @@ class FittedQ:
         return distance + NEAREST * distance.median()
 
     def _differences(self, values: Tensor) -> Tensor:
-        """(..., K) of the actions of a branched state -> (..., K) from their mean, or (..., P) between the two of each pair."""
+        """(..., K) of the actions of a branched state -> (..., K) from their mean, or (..., P) between the two of each
+        pair."""
         if self.config.within_state_unit == "spread":
             return values - values.mean(-1, keepdim=True)
         first, second = torch.triu_indices(values.shape[-1], values.shape[-1], 1)
@@ -188,7 +193,7 @@ class FittedQ:
 
 
 def branch_targets(targets: Targets, next_value: Tensor, groups: Tensor) -> Tensor:
-    """z (G, K) in reward units: rewards of each branch, and one bootstrap for those of a state that did not terminate."""
+    """z (G, K) in reward units: the rewards of each branch, and one bootstrap for the branches of a state."""
     discount = targets.discount[groups]
     alive = (discount > 0).float()
     common = (next_value.mean(0)[groups] * alive).sum(1, keepdim=True) / alive.sum(1, keepdim=True).clamp_min(1)

@@ -32,8 +32,8 @@ def fit(request: CriticRequest, expert: Path, ctx: Context) -> None:
     data = simulated_once(ctx.state, simulate)
     fitted = FittedQ(data, settings, policy.meta["gamma"], ctx.device)
     _train(fitted, ctx)
-    meta = {"task": request.task.name, "source": settings.kind, "branched_states": len(fitted.groups)}
-    spread.save(fitted.critic.eval(), expert, data, ctx.out, seed=settings.seed, **meta)
+    meta = {"task": request.task.name, "branched_states": len(fitted.groups)}
+    spread.save(fitted.critic.eval(), expert, data, ctx.out, settings, **meta)
 
 
 def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, progress: Progress) -> Transitions:
@@ -55,7 +55,8 @@ def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, pr
         return data
     if len(visits) < branch.states:
         raise ValueError(
-            f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower critic.branches.states"
+            f"{len(visits)} visited states for {branch.states} branched ones: raise critic.steps or lower "
+            "critic.branches.states"
         )
     rng = np.random.default_rng([settings.seed, 0])
     chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
@@ -72,7 +73,8 @@ def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, pr
 
 
 def _some_of(actions: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(V, K, A) -> (V, count, A): in each state the first action, which is the expert's mean, and others drawn at random."""
+    """(V, K, A) -> (V, count, A): in each state the first action, which is the expert's mean, and others drawn at
+    random."""
     others = np.argsort(rng.random(actions.shape[:2])[:, 1:], 1)[:, : count - 1] + 1
     picked = np.concatenate([np.zeros((len(actions), 1), int), others], 1)
     return np.take_along_axis(actions, picked[:, :, None], 1)

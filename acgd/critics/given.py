@@ -18,26 +18,27 @@ from acgd.tasks.spec import TASKS
 
 
 def from_zoo(request: CriticRequest, expert: Path, ctx: Context) -> None:
-    """Copies the critic in zoo/. Raises ValueError where it was fitted to another expert than the one in the folder `expert`."""
-    weights, meta = zoo.critic_files(request.task.name)
+    """Copies the critic in zoo/. Raises ValueError where it was fitted to another expert than `expert`."""
+    weights, meta = zoo.fitted_critic(request.task.name)
     if json.loads(meta.read_text())["expert_sha256"] != file_digest(expert / zoo.POLICY[0]):
         raise ValueError(
-            f"critic.kind is zoo, but the expert of {request.task.name} is not that of the zoo: set critic.kind to fqe, "
-            "or expert.kind to zoo"
+            f"critic.kind is zoo, but the expert of {request.task.name} is not that of the zoo: set "
+            "critic.kind to fqe, or expert.kind to zoo"
         )
     for file in (weights, meta):
         shutil.copyfile(file, ctx.out / file.name)
 
 
 def from_expert(request: CriticRequest, expert: Path, ctx: Context) -> None:
-    """Takes the critics of an off-policy expert, and measures their spread. Their Q holds the entropy bonus of its training.
+    """Takes the critics of an off-policy expert, and measures their spread. Their Q holds the entropy bonus of its
+    training.
 
     Raises ValueError where the expert has none.
     """
     if not (expert / WEIGHTS).is_file():
         raise ValueError(
-            f"critic.kind is expert, but {expert} has no {WEIGHTS}: only an off-policy expert (expert.kind sac) has critics; "
-            "set critic.kind to fqe"
+            f"critic.kind is expert, but {expert} has no {WEIGHTS}: only an off-policy expert (expert.kind sac) has "
+            "critics; set critic.kind to fqe"
         )
     settings, policy = request.critic, Expert.load(expert)
 
@@ -49,5 +50,5 @@ def from_expert(request: CriticRequest, expert: Path, ctx: Context) -> None:
             )[0]  # fmt: skip
 
     data = simulated_once(ctx.state, gather)
-    meta = {"task": request.task.name, "source": settings.kind, "branched_states": 0}
-    spread.save(Critic.load(expert), expert, data, ctx.out, seed=settings.seed, **meta)
+    meta = {"task": request.task.name, "branched_states": 0}
+    spread.save(Critic.load(expert), expert, data, ctx.out, settings, **meta)

@@ -7,4 +7,5 @@ CRITICS: dict[str, Kind] = {
     "zoo": Kind("acgd.critics.settings:ZooCriticSettings", "acgd.critics.given:from_zoo"),
     "expert": Kind("acgd.critics.settings:ExpertCriticSettings", "acgd.critics.given:from_expert"),
 }
-"""The code is `function(request, expert, ctx) -> None`, with the folder of the expert: it writes critic.safetensors and critic.json."""
+"""The code is `function(request, expert, ctx) -> None`, with the folder of the expert: it writes critic.safetensors and
+critic.json."""

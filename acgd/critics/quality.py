@@ -84,7 +84,8 @@ def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit]:
-    """One visited state of each episode, so that the states are independent; its first one only where there is no other."""
+    """One visited state of each episode, so that the states are independent; its first one only where there is no
+    other."""
     by_episode: dict[int, list[Visit]] = {}
     for visit in visits:
         by_episode.setdefault(visit.episode, []).append(visit)
@@ -129,8 +130,8 @@ def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
 
 
 def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: int, gamma: float, tail: int) -> float:
-    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit; 0 where all
-    returns are equal."""
+    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit; 0 where
+    all returns are equal."""
     returns = discounted(data, gamma, tail)
     rows = np.concatenate(
         [

@@ -5,7 +5,8 @@ from scipy import stats
 
 
 def rank_correlations(q: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Spearman's correlation over the candidates of each state, (V, K), (V, K) -> (V,); nan where all returns are equal."""
+    """Spearman's correlation over the candidates of each state, (V, K), (V, K) -> (V,); nan where all returns are
+    equal."""
     ranks = [stats.rankdata(values, axis=1) for values in (q, returns)]
     x, y = (r - r.mean(1, keepdims=True) for r in ranks)
     norm = np.sqrt((x**2).sum(1) * (y**2).sum(1))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -36,7 +36,7 @@ class PerturbationConfig(Section):
 
 
 class BranchConfig(Section):
-    """Several actions tried from one simulator state, each followed by the expert: what ranks actions within a state."""
+    """Several actions tried from one simulator state, each followed by the expert. They teach the order of actions."""
 
     states: int = Field(
         500, ge=0, description="States branched from, drawn from the rollouts. 0 fits on rollouts alone."
@@ -45,6 +45,15 @@ class BranchConfig(Section):
     steps: PositiveInt = Field(
         16, description="Simulator steps of a branch, its first action included, before Q is bootstrapped."
     )
+
+
+Spread = Annotated[
+    Literal["all", "near"],
+    Field(
+        description="Candidate actions whose Q sets the unit of guidance: all sixteen, of which three are uniform in "
+        "the box, or only those near the expert's."
+    ),
+]
 
 
 class FQESettings(Section):
@@ -65,7 +74,8 @@ class FQESettings(Section):
     branches: BranchConfig = BranchConfig()
     horizon: PositiveInt = Field(
         64,
-        description="Rewards summed before bootstrapping while the expert's mean is followed; 1 is one-step fitted Q evaluation.",
+        description="Rewards summed before bootstrapping while the expert's mean is followed; 1 is one-step fitted Q "
+        "evaluation.",
     )
     updates: PositiveInt = Field(5000, description="Gradient steps.")
     batch: PositiveInt = Field(256, description="Transitions in a gradient step, for the regression on y.")
@@ -82,14 +92,16 @@ class FQESettings(Section):
     )
     within_state_unit: Literal["spread", "distance"] = Field(
         "spread",
-        description="Unit of these differences: the spread of the state's returns, or the distance of the two actions times the slope of the state's returns, "
-        "so that actions close to each other count like far ones.",
+        description="Unit of these differences: the spread of the state's returns, or the distance of the two actions "
+        "times the slope of the state's returns, so that actions close to each other count like far ones.",
     )
     state_noise: float = Field(
         0.0,
         ge=0,
-        description="Standard deviation of Gaussian noise on normalised states in both regressions, one draw for all actions of a branched state.",
+        description="Standard deviation of Gaussian noise on normalised states in both regressions, one draw for all "
+        "actions of a branched state.",
     )
+    spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of initialisation, batches and perturbations.")
     checkpoint_every: PositiveInt = Field(
         1000, description="Updates between two checkpoints.", json_schema_extra=OUTSIDE_KEY
@@ -99,8 +111,8 @@ class FQESettings(Section):
     def _enough_states_to_branch_from(self) -> "FQESettings":
         if self.branches.states > self.steps:
             raise ValueError(
-                f"{self.branches.states} branched states are drawn from the rollouts, and these have {self.steps} steps. "
-                "Raise critic.steps, or lower critic.branches.states."
+                f"{self.branches.states} branched states are drawn from the rollouts, and these have {self.steps} "
+                "steps. Raise critic.steps, or lower critic.branches.states."
             )
         return self
 
@@ -120,7 +132,7 @@ class ZooCriticSettings(Section):
 
     def files(self, task: str) -> tuple[Path, ...]:
         """The critic."""
-        return zoo.critic_files(task)
+        return zoo.fitted_critic(task)
 
     def faults(self, task: str, expert: Any) -> Iterator[str]:
         """No such critic, or another expert than that of the zoo."""
@@ -137,11 +149,13 @@ class ZooCriticSettings(Section):
 
 
 class ExpertCriticSettings(Section):
-    """The critics that an off-policy expert (SAC) has trained beside its policy. Rollouts measure the spread of their Q."""
+    """The critics that an off-policy expert (SAC) has trained beside its policy. Rollouts measure the spread of their
+    Q."""
 
     kind: Literal["expert"] = "expert"
     steps: PositiveInt = Field(6000, description="Simulator steps of these rollouts, to the end of the last episode.")
     perturbation: PerturbationConfig = PerturbationConfig()
+    spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of perturbations and of the actions whose Q is compared.")
 
     def files(self, task: str) -> tuple[Path, ...]:
@@ -156,7 +170,8 @@ class ExpertCriticSettings(Section):
             )
             yield (
                 f"critic.kind: {what} has no critics, only an off-policy learner trains them. Set critic.kind: fqe, "
-                f"expert.kind: sac, or take a task whose expert in zoo/ has critics: {zoo.tasks_with(zoo.has_own_critics)}."
+                f"expert.kind: sac, or take a task whose expert in zoo/ has critics: "
+                f"{zoo.tasks_with(zoo.has_learned_critics)}."
             )
 
 
@@ -194,8 +209,8 @@ class QualityConfig(Section):
     def _has_a_clean_episode(self) -> "QualityConfig":
         if self.perturbation.clean * self.states < 1 - 1e-9:
             raise ValueError(
-                f"none of {self.states} episodes would be clean, and the correlation with returns is measured on these. "
-                "Raise quality.perturbation.clean or quality.states."
+                f"none of {self.states} episodes would be clean, and the correlation with returns is measured on "
+                "these. Raise quality.perturbation.clean or quality.states."
             )
         return self
 

@@ -19,7 +19,8 @@ def lockstep(task: TaskConfig, expert: Expert) -> Lockstep:
 
 
 def simulated_once(state: Path, simulate: Callable[[], Transitions]) -> Transitions:
-    """What `simulate` returns. It is kept in the folder `state`, so that a stage that goes on after a kill does not simulate again."""
+    """What `simulate` returns. It is kept in the folder `state`, so that a stage that goes on after a kill does not
+    simulate again."""
     kept = state / "transitions.safetensors"
     if not kept.exists():
         data = simulate()

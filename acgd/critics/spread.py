@@ -1,11 +1,13 @@
 """The unit of a critic: how far the Q of candidate actions of one state lie apart. Tasks are compared in it."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 
 from acgd.critics.gather import candidates
+from acgd.critics.settings import ExpertCriticSettings, FQESettings
 from acgd.critics.transitions import Transitions
 from acgd.experts import zoo
 from acgd.experts.policy import Expert
@@ -18,24 +20,38 @@ STREAM = 2
 """Of a section's seed: chance of the spread."""
 
 
-def spread(critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator) -> float:
-    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward units."""
+def spread(
+    critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator, over: Literal["all", "near"] = "all"
+) -> float:
+    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward
+    units. `over`: all candidates, or those near the expert's action, which the uniform ones are not."""
     states = states[rng.choice(len(states), min(STATES, len(states)), replace=False)]
-    actions, _ = candidates(expert, states, ACTIONS, rng)
+    actions, sources = candidates(expert, states, ACTIONS, rng)
     rows = torch.from_numpy(states).repeat_interleave(ACTIONS, 0), torch.from_numpy(actions).flatten(0, 1)
     with torch.no_grad():
         q = critic(*(value.to(critic.spread.device) for value in rows)).mean(0)
-    return max(float(q.view(-1, ACTIONS).std(1).median()), 1e-6)
+    counted = [k for k, source in enumerate(sources) if over == "all" or source != "uniform"]
+    return max(float(q.view(-1, ACTIONS)[:, counted].std(1).median()), 1e-6)
 
 
-def save(critic: Critic, expert: Path, data: Transitions, out: Path, *, seed: int, **meta: object) -> None:
-    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into `out`.
+def save(
+    critic: Critic,
+    expert: Path,
+    data: Transitions,
+    out: Path,
+    settings: FQESettings | ExpertCriticSettings,
+    **meta: object,
+) -> None:
+    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into
+    `out`.
 
     `expert`: folder of the expert. `meta`: what critic.json says besides.
     """
     policy = Expert.load(expert)
-    critic.spread.copy_(spread(critic, policy, data.state, np.random.default_rng([seed, STREAM])))
+    rng = np.random.default_rng([settings.seed, STREAM])
+    critic.spread.copy_(spread(critic, policy, data.state, rng, settings.spread))
     critic.meta = {
+        "source": settings.kind,
         "gamma": policy.meta["gamma"],
         "reward_weights": policy.meta["reward_weights"],
         "simulator_steps": len(data),

@@ -49,7 +49,8 @@ def targets(
 
 
 def _steps_followed(on_policy: np.ndarray, ends: np.ndarray, horizon: int) -> np.ndarray:
-    """m_t, (N,) int64: the row itself and the expert-following rows directly after it in its episode, at most `horizon`."""
+    """m_t, (N,) int64: the row itself and the expert-following rows directly after it in its episode, at most
+    `horizon`."""
     steps = np.ones(len(on_policy), np.int64)
     last = np.zeros(len(on_policy), bool)
     last[np.asarray(ends) - 1] = True

@@ -83,7 +83,11 @@ def measured(folder: Path, task: TaskConfig, count: int) -> dict[str, Any]:
 def success(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """Successes, rate and 95% Wilson interval of episodes, by rule."""
     counts = {rule: sum(bool(row[rule]) for row in rows) for rule in RULES}
-    return {rule: {"successes": count, **wilson(count, len(rows))._asdict()} for rule, count in counts.items()}
+    rates = {rule: wilson(count, len(rows)) for rule, count in counts.items()}
+    return {
+        rule: {"successes": counts[rule], "rate": rate.rate, "low": rate.low, "high": rate.high}
+        for rule, rate in rates.items()
+    }
 
 
 def write(card: dict[str, Any], folder: Path) -> None:
@@ -113,8 +117,8 @@ def check(folder: Path) -> dict[str, Any]:
     card, critic = read(folder), folder / zoo.CRITIC_FOLDER / zoo.CRITIC[1]
     if critic.is_file() and json.loads(critic.read_text()).get("expert_sha256") != card["sha256"]:
         raise ValueError(
-            f"{critic.parent} holds the critic of another policy than {folder / POLICY}: restore both from the repository, "
-            "or remove that folder, fit the critic again (critic.kind: fqe) and put the files of that artifact there"
+            f"{critic.parent} holds the critic of another policy than {folder / POLICY}: restore both from the "
+            "repository, or remove that folder, fit the critic again (critic.kind: fqe) and put its files there"
         )
     return card
 

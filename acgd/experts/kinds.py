@@ -8,5 +8,5 @@ LEARNERS: dict[str, Kind] = {
     "sac": Kind("acgd.experts.sac.settings:SACSettings", "acgd.experts.sac.learn:train_sac"),
     "muscle": Kind("acgd.experts.muscle.settings:MuscleSettings", "acgd.experts.muscle.learn:train_muscle"),
 }
-"""The code is `function(request, state, metrics, progress, device) -> (folder, points)`: the folder with the expert's files, and
-the points of the learning curve, none where nothing was trained."""
+"""The code is `function(request, state, metrics, progress, device) -> (folder, points)`: the folder with the expert's
+files, and the points of the learning curve, none where nothing was trained."""

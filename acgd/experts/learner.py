@@ -10,7 +10,8 @@ from acgd.settings import OUTSIDE_KEY, Section
 
 
 class LearnerSettings(Section):
-    """What every learner has. A learner is a subclass with `kind`, `algorithm`, and fields of its own, `steps` among them."""
+    """What every learner has. A learner is a subclass with `kind`, `algorithm`, and further fields, `steps` among
+    them."""
 
     algorithm: ClassVar[str]
     """Name of the algorithm on the expert's card."""

@@ -25,14 +25,15 @@ class ReinforcementSettings(LearnerSettings):
         default=0.0,
         ge=0,
         le=1,
-        description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or a "
-        "key's angle. Only pose and key-turn tasks have such starts.",
+        description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or "
+        "a key's angle. Only pose and key-turn tasks have such starts.",
     )
     warm_start: str = Field(
         default="",
-        description="What training starts from. Empty: from nothing. A task, such as myo/pen-twirl for myo/pen-twirl-hard: its "
-        "expert in zoo/, by the same algorithm. muscle: the muscle controller. PPO first trains its policy to imitate the "
-        "controller. SAC takes the controller's actions in place of its first random ones.",
+        description="What training starts from. Empty: from nothing. A task, such as myo/pen-twirl for "
+        "myo/pen-twirl-hard: its expert in zoo/, by the same algorithm. muscle: the muscle controller. PPO first "
+        "trains its policy to imitate the controller. SAC takes the controller's actions in place of its first random "
+        "ones.",
     )
     muscle: ControllerSettings | None = Field(
         default=None, description="Settings of the muscle controller. Only with warm_start: muscle."
@@ -65,15 +66,15 @@ class ReinforcementSettings(LearnerSettings):
                 f"expert.warm_start: zoo/ has no expert for {self.first_task}. "
                 f"Leave it empty, or take one that it has: {zoo.tasks_with(zoo.has_expert)}."
             )
-        elif self.first_task and self.learns_critics and not zoo.has_own_critics(self.first_task):
+        elif self.first_task and self.learns_critics and not zoo.has_learned_critics(self.first_task):
             yield (
-                f"expert.warm_start: the expert in zoo/ for {self.first_task} has no critics for {self.algorithm} to go on with. "
-                f"Leave it empty, or take: {zoo.tasks_with(zoo.has_own_critics)}."
+                f"expert.warm_start: the expert in zoo/ for {self.first_task} has no critics for {self.algorithm} to "
+                f"go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
             )
         if self.warm_start == "muscle":
             yield from without_controller(task, "expert.warm_start", "Leave it empty")
         if self.advanced_starts and TASKS[task].kind not in ADVANCED_KINDS:
             yield (
-                f"expert.advanced_starts: {task} has no start on the way to its goal, only {' and '.join(ADVANCED_KINDS)} "
-                "tasks have. Leave it at 0."
+                f"expert.advanced_starts: {task} has no start on the way to its goal, only "
+                f"{' and '.join(ADVANCED_KINDS)} tasks have. Leave it at 0."
             )

@@ -31,7 +31,7 @@ class ZooSettings(Section):
 
     def has_critics(self, task: str) -> bool:
         """Whether the expert comes with critics that were trained beside its policy."""
-        return zoo.has_own_critics(task)
+        return zoo.has_learned_critics(task)
 
 
 ExpertConfig = one_of(LEARNERS, default="zoo")

@@ -11,7 +11,8 @@ from acgd.store.stage import Context, Inputs
 
 
 def train(request: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
-    """Write policy.safetensors and policy.json; the critics of an off-policy learner; curve.csv where the expert is trained here."""
+    """Write policy.safetensors and policy.json; the critics of an off-policy learner; curve.csv where the expert is
+    trained here."""
     learn = imported(LEARNERS[request.expert.kind].code)
     folder, points = learn(request, ctx.state, ctx.metrics, ctx.progress, ctx.device)
     for name in zoo.POLICY + zoo.CRITIC:

@@ -9,8 +9,8 @@ from acgd.tasks.spec import TASKS
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 POLICY = ("policy.safetensors", "policy.json")
 CRITIC = ("critic.safetensors", "critic.json")
-"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER the
-one that was fitted to the frozen expert."""
+"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER
+the one that was fitted to the frozen expert."""
 CARD = ("card.json", "curve.csv")
 FILES = POLICY + CARD
 CRITIC_FOLDER = "critic"
@@ -23,7 +23,7 @@ def folder(task: str) -> Path:
 
 def policy_files(task: str) -> tuple[Path, ...]:
     """The policy, and the critics that were trained beside it, if any."""
-    critics = CRITIC if has_own_critics(task) else ()
+    critics = CRITIC if has_learned_critics(task) else ()
     return tuple(folder(task) / name for name in POLICY + critics)
 
 
@@ -32,7 +32,7 @@ def card_files(task: str) -> tuple[Path, ...]:
     return tuple(folder(task) / name for name in CARD)
 
 
-def critic_files(task: str) -> tuple[Path, ...]:
+def fitted_critic(task: str) -> tuple[Path, ...]:
     """The critic that was fitted to a task's expert."""
     return tuple(folder(task) / CRITIC_FOLDER / name for name in CRITIC)
 
@@ -47,14 +47,14 @@ def has_expert(task: str) -> bool:
     return not missing(task)
 
 
-def has_own_critics(task: str) -> bool:
+def has_learned_critics(task: str) -> bool:
     """Whether that expert comes with critics that were trained beside its policy."""
     return all((folder(task) / name).is_file() for name in CRITIC)
 
 
 def has_fitted_critic(task: str) -> bool:
     """Whether the zoo has a critic that was fitted to that expert."""
-    return all(path.is_file() for path in critic_files(task))
+    return all(path.is_file() for path in fitted_critic(task))
 
 
 def tasks_with(there: Callable[[str], bool]) -> str:

@@ -24,14 +24,14 @@ class Critic(nn.Module):
     """Q(s, a) of one task's expert, for each member of the ensemble, in reward units.
 
     Parameters are stacked over the M members, `(M, in, out)`, so that a forward pass is one batched product per layer.
-    Everything that maps raw inputs to reward units is inside, as buffers:
-    `state_mean`, `state_std` (S,) normalise the state; `shift`, `scale` () turn the networks' output into a return;
-    `spread` () is how far the Q of candidate actions of one state lie apart, the unit in which tasks are compared.
+    Everything that maps raw inputs to reward units is inside, as buffers: `state_mean`, `state_std` (S,) normalise the
+    state; `shift`, `scale` () turn the networks' output into a return; `spread` () is how far the Q of candidate
+    actions of one state lie apart, the unit in which tasks are compared.
 
-    A dueling critic (Wang et al. 2016) has two networks a member, Q = V(s) + `advantage_unit` A(s, a): the first M of the
-    stack read states alone. What an action does is often a hundredth of what the state is worth; one network that learns
-    both ranks actions by its errors in V. Unlike there, A is not centred: a continuous action has no mean over all actions,
-    and the ranking needs none.
+    A dueling critic (Wang et al. 2016) has two networks a member, Q = V(s) + `advantage_unit` A(s, a): the first M of
+    the stack read states alone. What an action does is often a hundredth of what the state is worth; one network that
+    learns both ranks actions by its errors in V. Unlike there, A is not centred: a continuous action has no mean over
+    all actions, and the ranking needs none.
     """
 
     state_mean: Tensor
@@ -120,7 +120,8 @@ class Critic(nn.Module):
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
             normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
             x = F.silu(torch.addcmul(offset, normal, gain))
-        # Returns need more digits than bf16 has. A product and a sum: for one column a batched matrix product takes four times as long.
+        # Returns need more digits than bf16 has. A product and a sum: for one column a batched matrix product takes
+        # four times as long.
         weight, bias = self.weights[-1].float(), self.biases[-1].float()
         q = (x.float() * weight.transpose(1, 2)).sum(-1) + bias.squeeze(-1)
         return q[: self.members] + self.advantage_unit * q[self.members :] if self.shape["dueling"] else q
@@ -130,7 +131,8 @@ class Critic(nn.Module):
         return self.shift + self.scale * self.standard(state, action)
 
     def save(self, directory: Path) -> None:
-        """Weights and normalisers as safetensors; shape and `meta` as JSON. The first weights of V are stored without the rows of the action."""
+        """Weights and normalisers as safetensors; shape and `meta` as JSON. The first weights of V are stored without
+        the rows of the action."""
         tensors = {name: value.clone() for name, value in self.state_dict().items()}
         if self.shape["dueling"]:
             value, advantage = tensors.pop(FIRST).chunk(2)

@@ -10,7 +10,8 @@ the activations a >= 0 are the least-squares solution of
 
     J dq/dt = rate e,   damping dq/dt = 0,   effort a = 0:
 
-resolved-rate control (Whitney 1969) with damped least squares, through muscles. No learning; it needs the simulator's model.
+resolved-rate control (Whitney 1969) with damped least squares, through muscles. No learning; it needs the simulator's
+model.
 """
 
 import mujoco
@@ -35,7 +36,8 @@ class MuscleControl:
     def __init__(self, env: MyoDexTask, settings: ControllerSettings, detour: Detour | None = None) -> None:
         if env.task.kind not in _ERRORS:
             raise ValueError(
-                f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set expert.kind to ppo or sac"
+                f"{env.task.name} has no muscle controller, only {', '.join(_ERRORS)} tasks have: set "
+                "expert.kind to ppo or sac"
             )
         self._env, self._settings, self._error = env, settings, _ERRORS[env.task.kind]
         self._detour = detour or DETOURS.get(env.task.name)

@@ -1,8 +1,9 @@
-"""Finds a pose task's detour (acgd/experts/muscle/detours.py) by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
+"""Searches the detour of a pose task (detours.py) by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
 
     python -m acgd.experts.muscle.detour_search myo/pose-hard
 
-A line a generation; the last one's detour and `rate` are what to write into detours.py and the recipe. An hour on one core.
+A line a generation; the last one's detour and `rate` are what to write into detours.py and the recipe. An hour on one
+core.
 """
 
 import argparse
@@ -25,7 +26,8 @@ FIRST = {"posture": 0.0, "share": 1.3, "steps": 20.0, "gain": 3.0, "rate": 2.5}
 SPREAD = 0.3
 """Of the first generation: rad; tens of steps; of the logarithms of gain and rate."""
 SOLVED, SOFT, FAR = 0.7, 0.1, 2.0
-"""Rad: the suite's threshold for the norm of all joints' errors, how softly it counts, and beyond what an error is no worse."""
+"""Rad: the suite's threshold for the norm of all joints' errors, how softly it counts, and beyond what an error is no
+worse."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class Generation:
 def search(
     task: str, settings: ControllerSettings, *, population: int = 16, episodes: int = 8, seed: int = 0
 ) -> Iterator[Generation]:
-    """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same detours."""
+    """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same
+    detours."""
     env = registry.make(TaskConfig(name=task), image_size=None)
     if env.task.kind != "pose":
         raise ValueError(f"{task} has no detour, only pose tasks have: choose one of them")
@@ -59,7 +62,7 @@ def search(
 
 
 def score(env: MyoDexTask, detour: Detour, settings: ControllerSettings, seeds: list[int]) -> float:
-    """How far from their goals episodes end, rad, and 1 for those beyond SOLVED; the mean over `seeds`, less is better."""
+    """Distance to the goal at the end, rad, plus 1 beyond SOLVED; the mean over `seeds`. Less is better."""
     teacher, errors = MuscleControl(env, settings, detour), []
     for seed in seeds:
         env.reset(seed=seed)

@@ -1,8 +1,10 @@
-"""Detours of pose tasks: postures that muscle control strives for on its way, found by CMA-ES on training seeds (detour_search.py).
+"""Detours of pose tasks: postures that muscle control strives for on its way, found by CMA-ES on training seeds
+(detour_search.py).
 
-Muscles cannot bend a finger's last joint for itself, nor the thumb's three joints: from an open hand the straight way to a pose ends
-beside it, at 0.9 rad where 0.7 count. Started at the pose, the same controller stays within 0.3 rad. What leads there is a detour: joint limits
-take the fingers past what muscles cannot. Angles beyond a joint's range say how hard it pushes against its limit.
+Muscles cannot bend a finger's last joint for itself, nor the thumb's three joints: from an open hand the straight way
+to a pose ends beside it, at 0.9 rad where 0.7 count. Started at the pose, the same controller stays within 0.3 rad.
+What leads there is a detour: joint limits take the fingers past what muscles cannot. Angles beyond a joint's range say
+how hard it pushes against its limit.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """Imitation of the muscle controller by dataset aggregation (Ross et al. 2011): an expert without trial and error.
 
-In every round the present policy acts, with noise (in the first, the controller). The controller gives its action in each
-visited state, and the policy is fitted to all rounds so far. A round is one file, and its seeds depend on the round
-alone: a killed run goes on with the round it was in, and ends with the same bytes.
+In every round the present policy acts, with noise (in the first, the controller). The controller gives its action in
+each visited state, and the policy is fitted to all rounds so far. A round is one file, and its seeds depend on the
+round alone: a killed run goes on with the round it was in, and ends with the same bytes.
 
 It does not use simulate/roll.py: a round counts steps, not episodes, and episodes restart at once within it.
 """
@@ -33,8 +33,8 @@ EPSILON = 1e-4
 def train_muscle(
     request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
 ) -> tuple[Path, list[dict]]:
-    """Train, or go on from the checkpoint in `state`; the network runs on `device`. Returns the folder of the best expert, and
-    the learning curve, whose steps are labelled states.
+    """Train, or go on from the checkpoint in `state`; the network runs on `device`. Returns the folder of the best
+    expert, and the learning curve, whose steps are labelled states.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
@@ -125,7 +125,8 @@ def _fit(
     settings: MuscleSettings,
     done: int,
 ) -> float:
-    """`epochs` passes over all labelled states; the step size falls linearly over the rounds. Returns the mean loss of the last pass."""
+    """`epochs` passes over all labelled states; the step size falls linearly over the rounds. Returns the mean loss of
+    the last pass."""
     for group in optimiser.param_groups:
         group["lr"] = settings.learning_rate * (1 - done / settings.rounds)
     generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + done)

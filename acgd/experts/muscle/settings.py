@@ -51,8 +51,8 @@ class MuscleSettings(ImitationSettings, LearnerSettings):
     def _a_round_has_states(self) -> "MuscleSettings":
         if self.steps // self.rounds < max(2, self.envs):
             raise ValueError(
-                f"steps {self.steps} in {self.rounds} rounds are fewer than a step of each of {self.envs} environments, or fewer "
-                "than two. Raise steps, or lower rounds or envs."
+                f"steps {self.steps} in {self.rounds} rounds are fewer than a step of each of {self.envs} "
+                "environments, or fewer than two. Raise steps, or lower rounds or envs."
             )
         return self
 

@@ -27,8 +27,8 @@ def train_ppo(
 ) -> tuple[Path, list[dict]]:
     """Train, or go on from the checkpoint in `state`. Returns the folder of the best expert, and the learning curve.
 
-    The networks of PPO, which take a tenth of its time, stay on the processor. `device` is where a policy is first fitted
-    to the muscle controller, with warm_start muscle.
+    The networks of PPO, which take a tenth of its time, stay on the processor. `device` is where a policy is first
+    fitted to the muscle controller, with warm_start muscle.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
@@ -77,7 +77,7 @@ def train_ppo(
 
 
 class _LearningRate:
-    """Linear from start to end over the whole run. The fraction that stable-baselines3 passes is of one segment: not used."""
+    """Linear from start to end over the whole run. stable-baselines3 passes the fraction of a segment: not used."""
 
     def __init__(self, ppo: PPOSettings) -> None:
         self._ppo = ppo
@@ -89,8 +89,8 @@ class _LearningRate:
 
 
 VALUE_FIRST = 50_000
-"""Steps after a warm start in which the policy is frozen and only the value function learns: the advantages of an untrained
-value function would undo the policy."""
+"""Steps after a warm start in which the policy is frozen and only the value function learns: the advantages of an
+untrained value function would undo the policy."""
 
 
 def _freeze_policy(model: PPO, frozen: bool) -> None:
@@ -102,7 +102,8 @@ def _freeze_policy(model: PPO, frozen: bool) -> None:
 
 
 def _first_expert(request: ExpertRequest, state: Path, progress, device: torch.device) -> Expert:
-    """The expert that the policy starts from: that of a task in the zoo, or one that is fitted here to the muscle controller."""
+    """The expert that the policy starts from: that of a task in the zoo, or one that is fitted here to the muscle
+    controller."""
     if request.expert.first_task:
         return Expert.load(zoo.folder(request.expert.first_task))
     from acgd.experts.muscle.learn import train_muscle
@@ -119,8 +120,9 @@ def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> No
     theirs = (expert.hidden1.in_features, expert.hidden1.out_features, expert.action.out_features)
     if expert.squashed or ours != theirs:
         raise ValueError(
-            f"expert.warm_start: the expert {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
-            f"this one {ours}: choose an expert of PPO or muscle for the same kind of task, and its width as expert.width"
+            f"expert.warm_start: expert {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
+            f"this one {ours}: choose an expert of PPO or muscle for the same kind of task, and set "
+            "expert.width to its width"
         )
     pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))
     for layer, first in pairs:

@@ -37,8 +37,8 @@ LONGEST_HOLD = 16
 def train_sac(
     request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
 ) -> tuple[Path, list[dict]]:
-    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the folder of the best expert, which
-    holds its critics, too, and the learning curve.
+    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the folder of the best expert,
+    which holds its critics, too, and the learning curve.
 
     The best is chosen by (final success, return) on validation seeds, never on the card's.
     """
@@ -89,8 +89,8 @@ def _segment(
     first: int,
     last: int,
 ) -> None:
-    """Act and learn from environment step `first` to `last`. Before learning begins, actions are those of the teachers, if any,
-    of the expert that training starts from, if any, or random."""
+    """Act and learn from environment step `first` to `last`. Before learning begins, actions are those of the teachers,
+    if any, of the expert that training starts from, if any, or random."""
     learner.generator.manual_seed(sac.seed * 1_000_003 + first)
     rng = np.random.default_rng([sac.seed, first])
     for i, env in enumerate(envs):

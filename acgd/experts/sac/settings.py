@@ -8,7 +8,8 @@ from acgd.experts.reinforcement import ReinforcementSettings
 
 
 class SACSettings(ReinforcementSettings):
-    """Soft actor-critic with LayerNorm critics, n-step returns and held exploration noise, on normalised privileged states."""
+    """Soft actor-critic with LayerNorm critics, n-step returns and held exploration noise, on normalised privileged
+    states."""
 
     algorithm: ClassVar[str] = "SAC"
     learns_critics: ClassVar[bool] = True

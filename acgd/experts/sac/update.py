@@ -1,8 +1,9 @@
 """One update of soft actor-critic, arranged for a CPU core.
 
-Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; the weights of
-a network lie in one vector, so that Adam, the target's average and every change of precision are one call each; the networks
-run in bfloat16 where the settings say so and the hardware can, on copies of weights that stay in float32, as do moments, densities and returns.
+Both critics are one batched product per layer; the policy's gradient does not visit the critics' weights; the weights
+of a network lie in one vector, so that Adam, the target's average and every change of precision are one call each; the
+networks run in bfloat16 where the settings say so and the hardware can, on copies of weights that stay in float32, as
+do moments, densities and returns.
 """
 
 import copy
@@ -22,7 +23,8 @@ from acgd.store.precision import in_bfloat16
 FIRST_STD = 0.5
 """Of the first policy."""
 FIRST_Q = 0.1
-"""Scale of the critics' last layer at first: at 1 their noise leads the policy astray before they have learned anything."""
+"""Scale of the critics' last layer at first: at 1 their noise leads the policy astray before they have learned
+anything."""
 
 LOG_UNIT = 0.5 * math.log(2 * math.pi) + 2 * math.log(2)
 """What every dimension adds to the log density of an action: the Gaussian's norm, and the 4 of tanh'."""
@@ -43,7 +45,7 @@ class SACUpdate:
         generator: torch.Generator,
         device: torch.device = torch.device("cpu"),
     ) -> None:
-        """Networks live on `device`; `generator` on the processor, so that weights and noise are the same everywhere."""
+        """Networks live on `device`, `generator` on the processor: weights and noise are the same on every device."""
         self.sac, self.generator, self.device = sac, generator, device
         self.actor = Expert(state_dim, action_dim, sac.width, squashed=True).requires_grad_(True)
         _initialise(self.actor, generator)
@@ -82,7 +84,8 @@ class SACUpdate:
         self.target.scale.fill_(reward_scale)
 
     def start_from(self, actor: Expert, critic: Critic) -> None:
-        """Takes over the policy and the critics of another expert. Raises ValueError where their sizes differ from these."""
+        """Takes over the policy and the critics of another expert. Raises ValueError where their sizes differ from
+        these."""
         for name, other, here in (("policy", actor, self.actor), ("critics", critic, self.critic)):
             theirs, ours = (
                 {key: tuple(value.shape) for key, value in network.state_dict().items()} for network in (other, here)
@@ -126,7 +129,8 @@ class SACUpdate:
         self.step += 1
 
     def sample(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
-        """Action (B, A) of the policy and its log density (B,), for normalised states (B, S) in the precision of the networks."""
+        """Action (B, A) of the policy and its log density (B,), for normalised states (B, S) in the precision of the
+        networks."""
         mean, log_std = (value.float() for value in self._networks["actor"].network(normal_state))
         noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
         before = torch.addcmul(mean, log_std.exp(), noise)
@@ -179,7 +183,8 @@ def _joined(network: torch.nn.Module) -> Tensor:
 
 
 def _gradients(weights: Tensor, network: torch.nn.Module) -> list[Tensor]:
-    """`weights.grad` (P,) seen in the shapes of the parameters of `network`, so that each gradient is converted to its place."""
+    """`weights.grad` (P,) seen in the shapes of the parameters of `network`, so that each gradient is converted to its
+    place."""
     weights.grad = torch.zeros_like(weights)
     shapes = [parameter.shape for parameter in network.parameters()]
     return [part.view(shape) for part, shape in zip(weights.grad.split([shape.numel() for shape in shapes]), shapes)]
