@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from acgd.tasks.cameras import CAMERAS
 
 from acgd.tasks import registry
-from acgd.tasks.cameras import CAMERAS
 from acgd.tasks.dexterous import DexterousTask
 from acgd.tasks.rendering import Renderer
 from benchmarks.row import Row

@@ -20,10 +20,10 @@ from acgd.experts import zoo
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.seeds import SEEDS
+from acgd.store.progress import Progress
 from acgd.tasks import registry
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.snapshot import STATE
-from acgd.store.progress import Progress
 from benchmarks.row import Row
 
 TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))
@@ -58,9 +58,7 @@ def _measure(task: str) -> list[Row]:
         actions = candidates(expert, np.stack([visit.state for visit in here]), quality.candidates, rng)[0]
 
         tried = branches(lock, expert, here, actions, tail, bar)
-        tried_beside = branches(
-            lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar
-        )
+        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
     whole, beside, early = (
         discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
         for data, steps in ((tried, tail), (tried_beside, tail), (tried, branched))

@@ -30,11 +30,11 @@ from acgd.nn.excitation import stretched_excitation
 from acgd.nn.q_ensemble import Critic
 from acgd.simulate.proportion import wilson
 from acgd.store.key import file_digest, in_key
+from acgd.store.metrics import Metrics, read
+from acgd.store.progress import Progress
 from acgd.store.stage import Context
 from acgd.tasks import starts
 from acgd.tasks.settings import TaskConfig
-from acgd.store.metrics import Metrics, read
-from acgd.store.progress import Progress
 
 SHARED = dict(steps=96, envs=2, width=8, evaluate_every=32, evaluation_episodes=2, checkpoint_every=32)
 SMALL = {
