@@ -38,16 +38,21 @@ def run(tasks: Sequence[str] = TASKS) -> list[Row]:
 
 def _measure(task: str) -> list[Row]:
     env = registry.make(task, image_size=None)
-    least = LEAST_STEPS[env.task.suite]
+    required_rate = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
     renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)
     frames = _rate(lambda: renderer.render(env.data), FRAMES)
     faults, growth = _soundness(env)
-    lucky = sum(_episode(env, seed) for seed in range(EPISODES))
+    solved = sum(_episode(env, seed) for seed in range(EPISODES))
     name = f"dexterous/{task}"
     return [
         Row(
-            name=f"{name}: speed", value=steps, unit="steps/s", ratio=None, target=f">= {least:.0f}", met=steps >= least
+            name=f"{name}: speed",
+            value=steps,
+            unit="steps/s",
+            ratio=None,
+            target=f">= {required_rate:.0f}",
+            met=steps >= required_rate,
         ),
         Row(
             name=f"{name}: pictures",
@@ -75,24 +80,24 @@ def _measure(task: str) -> list[Row]:
         ),
         Row(
             name=f"{name}: random policy",
-            value=lucky,
+            value=solved,
             unit=f"of {EPISODES} solved",
             ratio=None,
             target="0",
-            met=lucky == 0,
+            met=solved == 0,
         ),
     ]
 
 
-def _rate(do: Callable[[], object], count: int) -> float:
+def _rate(call: Callable[[], object], count: int) -> float:
     """Calls per second of processor time, so that other work on the machine counts for less."""
     for _ in range(CHUNK):
-        do()
+        call()
     seconds = []
     for _ in range(count // CHUNK):
         started = time.process_time()
         for _ in range(CHUNK):
-            do()
+            call()
         seconds.append(time.process_time() - started)
     return CHUNK / statistics.median(seconds)
 
@@ -135,10 +140,10 @@ def _episode(env: DexterousTask, seed: int) -> bool:
     """Whether random actions ever solve it."""
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
-    over = False
-    while not over:
+    ended = False
+    while not ended:
         _, _, terminated, truncated, info = env.step(rng.uniform(-1, 1, env.action_space.shape))
-        over = terminated or truncated
+        ended = terminated or truncated
     return info["success"]["once"]
 
 

@@ -31,18 +31,18 @@ def run() -> list[Row]:
     ratio; then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the
     reference."""
     torch.set_num_threads(1)
-    ours = {
+    variants = {
         "SAC, default": SACSettings(),
         "SAC, a policy update with every critic update": SACSettings(actor_every=1),
         "SAC, float32": SACSettings(precision="float32"),
     }
-    work = {name: _ours(sac) for name, sac in ours.items()} | {"stock": _stock(SACSettings())}
-    rates = {name: 1 / seconds for name, seconds in _alternating(work).items()}
+    calls = {name: _project(sac) for name, sac in variants.items()} | {"stock": _stock(SACSettings())}
+    rates = {name: 1 / seconds for name, seconds in _alternating(calls).items()}
     rows = [
         Row(name=f"experts/{name}", value=rates[name], unit="updates/s", ratio=rates[name] / rates["stock"],
             target=f">= {LEAST_RATIO:g} x stable-baselines3's" if name == "SAC, default" else "",
             met=rates[name] >= LEAST_RATIO * rates["stock"] if name == "SAC, default" else None)
-        for name in ours
+        for name in variants
     ]  # fmt: skip
     rows.append(
         Row(
@@ -57,7 +57,7 @@ def run() -> list[Row]:
     return [*rows, *_steps(SACSettings(), rates["SAC, default"])]
 
 
-def _ours(sac: SACSettings) -> Callable[[], None]:
+def _project(sac: SACSettings) -> Callable[[], None]:
     learner = SACUpdate(STATE_DIM, ACTION_DIM, sac, torch.Generator().manual_seed(0))
     g = torch.Generator().manual_seed(1)
     n = sac.batch
@@ -99,13 +99,13 @@ def _stock(sac: SACSettings) -> Callable[[], None]:
     return lambda: model.train(UPDATES, sac.batch)
 
 
-def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
+def _alternating(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
     """Processor seconds an update, the median over rounds."""
-    seconds: dict[str, list[float]] = {name: [] for name in work}
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(ROUNDS):
-        for name, do in work.items():
+        for name, call in calls.items():
             started = time.process_time()
-            do()
+            call()
             seconds[name].append((time.process_time() - started) / UPDATES)
     return {name: statistics.median(result[1:]) for name, result in seconds.items()}
 
@@ -129,7 +129,7 @@ def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
         base.data.ctrl[:] = 1 / (1 + np.exp(-5 * (rng.uniform(-1, 1, ACTION_DIM) - 0.5)))
         mujoco.mj_step(base.model, base.data, base.frame_skip)
     physics = (time.process_time() - started) / STEPS
-    whole = step + sac.updates_per_step / updates_per_second
+    total = step + sac.updates_per_step / updates_per_second
     return [
         Row(
             name=f"experts/{TASK}: environment",
@@ -141,9 +141,9 @@ def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
         ),
         Row(
             name=f"experts/{TASK}: SAC, all in all",
-            value=1 / whole,
+            value=1 / total,
             unit="steps/s",
-            ratio=physics / whole,
+            ratio=physics / total,
             target="(ratio: physics' share)",
             met=None,
         ),

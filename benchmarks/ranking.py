@@ -54,30 +54,30 @@ def _measure(task: str) -> list[Row]:
             visit_rate=0.25,
             bar=bar,
         )
-        here = one_per_episode(visits, rng)
-        actions = candidates(expert, np.stack([visit.state for visit in here]), quality.candidates, rng)[0]
+        visits = one_per_episode(visits, rng)
+        actions = candidates(expert, np.stack([visit.state for visit in visits]), quality.candidates, rng)[0]
 
-        tried = branches(lock, expert, here, actions, tail, bar)
-        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
-    whole, beside, early = (
-        discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
-        for data, steps in ((tried, tail), (tried_beside, tail), (tried, branched))
+        data = branches(lock, expert, visits, actions, tail, bar)
+        data_near = branches(lock, expert, [_near(lock.envs[0], visit, rng) for visit in visits], actions, tail, bar)
+    full, near, early = (
+        discounted(branch_data, gamma, steps)[branch_data.starts].reshape(actions.shape[:2])
+        for branch_data, steps in ((data, tail), (data_near, tail), (data, branched))
     )
-    orders = {f"{DISTANCE:g} rad or m away": beside, f"after {branched} of {tail} steps": early}
+    orders = {f"{DISTANCE:g} rad or m away": near, f"after {branched} of {tail} steps": early}
     return [
         Row(
-            name=f"ranking/{task}: {what}",
-            value=float(np.nanmean(rank_correlations(other, whole))),
+            name=f"ranking/{task}: {change}",
+            value=float(np.nanmean(rank_correlations(changed, full))),
             unit="rank correlation",
             ratio=None,
             target="",
             met=None,
         )
-        for what, other in orders.items()
+        for change, changed in orders.items()
     ]
 
 
-def _beside(env, visit: Visit, rng: np.random.Generator) -> Visit:
+def _near(env, visit: Visit, rng: np.random.Generator) -> Visit:
     """The visit with each position moved by DISTANCE."""
     env.restore(visit.snapshot)
     mujoco.mj_integratePos(env.model, env.data.qpos, DISTANCE * rng.standard_normal(env.model.nv), 1)

@@ -104,14 +104,14 @@ def training_step(guided: bool) -> Callable[[], None]:
 
 def in_turn(*calls: Callable[[], object]) -> list[float]:
     """Median processor seconds of each call. Calls take turns, so that what slows the machine slows all of them."""
-    taken: list[list[float]] = [[] for _ in calls]
+    seconds: list[list[float]] = [[] for _ in calls]
     for repeat in range(WARMUP + STEPS):
-        for times, call in zip(taken, calls):
+        for times, call in zip(seconds, calls):
             start = time.process_time()
             call()
             if repeat >= WARMUP:
                 times.append(time.process_time() - start)
-    return [statistics.median(times) for times in taken]
+    return [statistics.median(times) for times in seconds]
 
 
 def _windows() -> Windows:

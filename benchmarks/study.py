@@ -74,14 +74,14 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
     by_stage: dict[str, list[float]] = defaultdict(list)
     for job in jobs:
         by_stage[job.stage].append(job.seconds)
-    worked = sum(job.seconds for job in jobs)
+    total_seconds = sum(job.seconds for job in jobs)
     for stage, times in by_stage.items():
         rows.append(
             Row(
                 name=f"study/{stage} x {len(times)}",
                 value=sum(times),
                 unit="s",
-                ratio=sum(times) / worked,
+                ratio=sum(times) / total_seconds,
                 target="",
                 met=None,
             )
@@ -91,13 +91,13 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
 
 def busy_seconds(jobs: Iterable[Job]) -> float:
     """From the first start to the last end, without the pauses in which nobody ran the workflow."""
-    total, until = 0.0, None
+    total, end = 0.0, None
     for job in sorted(jobs, key=lambda job: job.started):
-        if until is not None and job.started > until:
-            total += job.started - until if job.started - until <= LONGEST_PAUSE_S else 0.0
-        begin = job.started if until is None else max(job.started, until)
-        total += max(0.0, job.ended - begin)
-        until = job.ended if until is None else max(until, job.ended)
+        if end is not None and job.started > end:
+            total += job.started - end if job.started - end <= LONGEST_PAUSE_S else 0.0
+        start = job.started if end is None else max(job.started, end)
+        total += max(0.0, job.ended - start)
+        end = job.ended if end is None else max(end, job.ended)
     return total
 
 
@@ -106,10 +106,10 @@ def peak_bytes(jobs: Iterable[Job]) -> int:
     events = sorted(
         [(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs]
     )
-    held = peak = 0
+    current = peak = 0
     for _, _, change in events:
-        held += change
-        peak = max(peak, held)
+        current += change
+        peak = max(peak, current)
     return peak
 
 
@@ -138,15 +138,15 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
         file.flush()
         jobs = dry_run(Path(file.name), results.resolve().parent)
     seeds = len(load_study(content).seeds)
-    own = sum(jobs[rule] for rule in VARIANT_JOBS)
-    foreign = {rule: count for rule, count in jobs.items() if rule not in VARIANT_JOBS | WORKFLOW_JOBS}
+    variant_jobs = sum(jobs[rule] for rule in VARIANT_JOBS)
+    other_jobs = {rule: count for rule, count in jobs.items() if rule not in VARIANT_JOBS | WORKFLOW_JOBS}
     return Row(
         name="study/jobs of one more variant",
-        value=own,
+        value=variant_jobs,
         unit="jobs",
-        ratio=own / artifacts,
-        target=f"{seeds} students and their evaluations, nothing upstream{': but ' + str(foreign) if foreign else ''}",
-        met=not foreign and own == len(VARIANT_JOBS) * seeds,
+        ratio=variant_jobs / artifacts,
+        target=f"{seeds} students and their evaluations, nothing upstream{': but ' + str(other_jobs) if other_jobs else ''}",
+        met=not other_jobs and variant_jobs == len(VARIANT_JOBS) * seeds,
     )
 
 
@@ -164,11 +164,11 @@ def dry_run(config: Path, folder: Path) -> Counter[str]:
         "--configfile",
         str(config.resolve()),
     ]
-    done = subprocess.run(
+    completed = subprocess.run(
         [*command, "--cores", "2", "--dry-run", "--nolock", "all"], capture_output=True, text=True, check=False
     )
-    text = done.stdout + done.stderr
-    if done.returncode:
+    text = completed.stdout + completed.stderr
+    if completed.returncode:
         raise RuntimeError(f"snakemake's dry run failed:\n{text}")
     table = re.search(r"^job\s+count\n-.*\n((?:\S+\s+\d+\n)+)", text, re.MULTILINE)
     return Counter(

@@ -65,10 +65,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def write(rows: Sequence[dict[str, Any]], file: Path) -> None:
     """Name -> value, unit, ratio, target, met. What was measured before and not this time stays."""
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    known.update({row["name"]: {field: row[field] for field in FIELDS} for row in rows})
+    stored = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    stored.update({row["name"]: {field: row[field] for field in FIELDS} for row in rows})
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    file.write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -155,8 +155,8 @@ class Replay:
         chosen = memory.chosen
         if chosen is None:
             chosen = np.asarray(self.choose(observations, memory.seeds))
-        at = np.minimum(self.first[chosen] + memory.step, self.last[chosen])
-        return self.actions[at], Replaying(memory.seeds, chosen, memory.step + 1)
+        rows = np.minimum(self.first[chosen] + memory.step, self.last[chosen])
+        return self.actions[rows], Replaying(memory.seeds, chosen, memory.step + 1)
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,9 @@ class Mixture:
         action, second = self.second.act(observations, memory.second)
         first, by_first = memory.first, np.zeros(len(action), bool)
         if self.chance > 0:
-            wanted, first = self.first.act(observations, memory.first)
+            first_action, first = self.first.act(observations, memory.first)
             by_first = np.array([rng.random() < self.chance for rng in memory.rngs])
-            action = np.where(by_first[:, None], wanted, action)
+            action = np.where(by_first[:, None], first_action, action)
         return action, Mixed(first, second, memory.rngs, by_first)
 
 
@@ -211,8 +211,8 @@ class Padded:
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         goals = None if goals is None else padded(goals, self.rows)
-        every = padded(np.asarray(seeds, np.int64), self.rows).tolist()
-        return self.policy.start(padded(np.asarray(tasks), self.rows), goals, every)
+        padded_seeds = padded(np.asarray(seeds, np.int64), self.rows).tolist()
+        return self.policy.start(padded(np.asarray(tasks), self.rows), goals, padded_seeds)
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
         n = len(next(iter(observations.values())))

@@ -49,9 +49,9 @@ class Outcomes(Recorder):
 class Episodes(Recorder):
     """Whole episodes, step by step."""
 
-    def __init__(self, beside: Callable[[Step], Mapping[str, np.ndarray]] | None = None) -> None:
+    def __init__(self, extra_arrays: Callable[[Step], Mapping[str, np.ndarray]] | None = None) -> None:
         """beside: further arrays (n, ...) of a step, by name, computed before it is taken."""
-        self.beside = beside
+        self.extra_arrays = extra_arrays
 
     def start(self, lock: Lockstep, seeds: Sequence[int]) -> None:
         self._recordings = [_Recording() for _ in seeds]
@@ -60,9 +60,9 @@ class Episodes(Recorder):
             recording.once |= {FIELDS + name: value for name, value in env.snapshot().model_fields.items()}
 
     def before(self, lock: Lockstep, step: Step) -> None:
-        seen = {**step.observations, "action": step.actions, **(self.beside(step) if self.beside else {})}
+        arrays = {**step.observations, "action": step.actions, **(self.extra_arrays(step) if self.extra_arrays else {})}
         for i in step.running:
-            self._recordings[i].add(**{name: rows[i] for name, rows in seen.items()}, **_physics(lock.envs[i]))
+            self._recordings[i].add(**{name: rows[i] for name, rows in arrays.items()}, **_physics(lock.envs[i]))
 
     def after(self, lock: Lockstep, step: Step) -> None:
         for i in step.running:
@@ -71,9 +71,9 @@ class Episodes(Recorder):
             self._recordings[i].add(reward=np.float32(step.reward[i]), solved=np.bool_(info["solved"]), **terms)
         for i in np.flatnonzero(step.done):
             once = self._recordings[i].once
-            last = {name: rows[i] for name, rows in step.arrived.items()}
-            last["integration"] = _physics(lock.envs[i])["integration"]
-            once |= {FINAL + name: value for name, value in last.items()}
+            final = {name: rows[i] for name, rows in step.next_observations.items()}
+            final["integration"] = _physics(lock.envs[i])["integration"]
+            once |= {FINAL + name: value for name, value in final.items()}
             once |= {f"success_{rule}": np.bool_(met) for rule, met in step.infos[i]["success"].items()}
             once["terminated"] = np.bool_(lock.terminated[i])
 

@@ -25,7 +25,7 @@ class Step:
     """(n, A) float32"""
     memory: Any
     """The policy's, after it has acted."""
-    arrived: Observations = field(default_factory=dict)
+    next_observations: Observations = field(default_factory=dict)
     """Observations after the action. This and what follows is filled when the step has been taken."""
     reward: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """(n,) float64"""
@@ -76,7 +76,7 @@ def roll(
         for recorder in recorders:
             recorder.before(lock, step)
         observations, step.reward, step.done, step.infos = lock.step(step.actions)
-        step.arrived = observations
+        step.next_observations = observations
         number += 1
         if limits is not None:
             step.done |= lock.active & (number >= limits)

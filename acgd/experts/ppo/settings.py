@@ -41,6 +41,6 @@ class PPOSettings(ReinforcementSettings):
         return self
 
     def imitation(self) -> MuscleSettings:
-        """Settings of the training by imitation that comes first, with warm_start muscle."""
+        """Settings of the imitation that precedes PPO, with warm_start: muscle."""
         shared = {name: getattr(self, name) for name in LearnerSettings.model_fields}
         return MuscleSettings(**shared, **self.muscle.model_dump())
