@@ -68,8 +68,8 @@ class ReinforcementSettings(LearnerSettings):
             )
         elif self.warm_start_task and self.learns_critics and not zoo.has_learned_critics(self.warm_start_task):
             yield (
-                f"expert.warm_start: the expert in zoo/ for {self.warm_start_task} has no critics, which "
-                f"{self.algorithm} starts from. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
+                f"expert.warm_start: the expert in zoo/ for {self.warm_start_task} has no critics for "
+                f"{self.algorithm} to go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
             )
         if self.warm_start == "muscle":
             yield from without_controller(task, "expert.warm_start", "Leave it empty")

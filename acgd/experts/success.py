@@ -12,7 +12,7 @@ ENVIRONMENTS = 8
 
 
 def episodes(expert: Expert, task: TaskConfig, seeds: list[int], lock: Lockstep | None = None) -> list[dict]:
-    """Runs the deterministic expert once per seed. Returns a row per episode: seed, steps, return, final, held, once."""
+    """Runs the deterministic expert once per seed. A row per episode: seed, steps, return, final, held, once."""
     lock = lock or Lockstep(
         task, min(ENVIRONMENTS, len(seeds)), image_size=None, reward_weights=expert.meta.get("reward_weights")
     )

@@ -193,7 +193,8 @@ class Hands:
         rng: np.random.Generator | None,
         holding: str | None = None,
     ) -> None:
-        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is `rng`.
+        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is
+        `rng`.
 
         Of the hand that is `holding` something only the base gets noise. The kinematics are up to date afterwards.
         """
