@@ -1,5 +1,5 @@
-"""BiDex and OpDex in one thread: speed, soundness under random and extreme actions, and that chance solves nothing:
-`python -m benchmarks.dexterous`, or with names of tasks."""
+"""BiDex and OpDex in one thread: speed, stability under random and extreme actions, success of a random policy:
+`python -m benchmarks.dexterous [TASK ...]`."""
 
 import resource
 import statistics
@@ -20,15 +20,17 @@ LEAST_STEPS = {"bidex": 1000.0, "opdex": 2500.0}
 LEAST_FRAMES = 250.0
 SIZE = 84
 CHUNK = 50
-"""Steps or frames between two looks at the clock; the median chunk counts."""
+"""Steps or frames of one time measurement. The median measurement counts."""
 TIMED = 2000
+"""Steps of the measurement of speed."""
 STEPS, FRAMES = 100_000, 400
-"""Of the soundness, half of them random and half extreme; and of the speed of pictures."""
+"""Steps of the stability test, half of them random and half extreme; frames of the measurement of rendering."""
 SETTLED = 5_000
-"""Steps after which memory must not grow."""
+"""Steps after which the memory must not grow."""
 MOST_GROWTH = 2.0
-"""MB: a few pages of the allocator's."""
+"""Largest accepted growth of memory in MB, a few pages of the allocator."""
 EPISODES = 50
+"""Episodes of the random policy."""
 
 
 def run(tasks: Sequence[str] = TASKS) -> list[Row]:
@@ -90,7 +92,7 @@ def _measure(task: str) -> list[Row]:
 
 
 def _rate(call: Callable[[], object], count: int) -> float:
-    """Calls per second of processor time, so that other work on the machine counts for less."""
+    """Calls per second of processor time, which other processes disturb less than wall time."""
     for _ in range(CHUNK):
         call()
     seconds = []
@@ -103,8 +105,11 @@ def _rate(call: Callable[[], object], count: int) -> float:
 
 
 def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False) -> Callable[[], bool]:
-    """A step of random actions, or of the ends of their range; tells whether it was sound. Episodes begin anew by
-    themselves."""
+    """A function that executes a step of random actions, or of random extreme actions, and returns whether it was
+    sound.
+
+    Episodes restart automatically.
+    """
     seeds = iter(range(2**31))
     env.reset(seed=next(seeds))
 
@@ -120,7 +125,7 @@ def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False
 
 
 def _soundness(env: DexterousTask) -> tuple[int, float]:
-    """Steps with a warning of the simulator or a number that is none, and by how many MB memory grew."""
+    """Number of steps with a warning of the simulator or a NaN, and growth of memory in MB."""
     faults, settled = 0, 0
     for extreme in (False, True):
         step = _stepper(env, np.random.default_rng(1), extreme)
@@ -132,12 +137,12 @@ def _soundness(env: DexterousTask) -> tuple[int, float]:
 
 
 def _peak() -> int:
-    """kB of memory at most so far."""
+    """Peak memory of the process in kB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _episode(env: DexterousTask, seed: int) -> bool:
-    """Whether random actions ever solve it."""
+    """Whether an episode of random actions is ever solved."""
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
     ended = False

@@ -1,5 +1,5 @@
-"""Training experts in one thread: SAC's updates beside stable-baselines3's at equal sizes, and where a step's time
-goes: `python -m benchmarks.experts`."""
+"""Training of experts in one thread: SAC updates against stable-baselines3 at equal sizes, and the parts of a step:
+`python -m benchmarks.experts`."""
 
 import statistics
 import time
@@ -18,18 +18,20 @@ from acgd.tasks.settings import TaskConfig
 from benchmarks.row import Row
 
 STATE_DIM, ACTION_DIM = 115, 39
-"""Those of myo/reach."""
+"""Sizes of myo/reach."""
 ROUNDS, UPDATES = 25, 10
-"""The median round counts; the two take turns, so that other work on the machine slows both."""
+"""The median round counts. The variants take turns, so that other processes slow all of them."""
 TASK = "myo/obj-hold"
 STEPS = 400
 LEAST_RATIO = 2.0
+"""Smallest accepted speed over that of stable-baselines3."""
 
 
 def run() -> list[Row]:
-    """Updates per second of the default settings, with the same sizes in stable-baselines3 as the reference of the
-    ratio; then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the
-    reference."""
+    """Updates per second of three variants, and environment steps per second.
+
+    The reference of the ratio is stable-baselines3 at equal sizes for updates, and the physics for environment steps.
+    """
     torch.set_num_threads(1)
     variants = {
         "SAC, default": SACSettings(),
@@ -72,7 +74,7 @@ def _project(sac: SACSettings) -> Callable[[], None]:
 
 
 class _Nothing(gymnasium.Env):
-    """Spaces of the same sizes; it is not stepped."""
+    """An environment with the same spaces, which is never stepped."""
 
     observation_space = gymnasium.spaces.Box(-10, 10, (STATE_DIM,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (ACTION_DIM,), np.float32)
@@ -100,7 +102,7 @@ def _stock(sac: SACSettings) -> Callable[[], None]:
 
 
 def _alternating(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Processor seconds an update, the median over rounds."""
+    """Processor seconds per update, median over rounds."""
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(ROUNDS):
         for name, call in calls.items():
@@ -111,7 +113,7 @@ def _alternating(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
 
 
 def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
-    """Of one environment: its own step, the physics in it, and a step of training with its share of updates."""
+    """Rows of one environment: its step, and a training step with its share of updates."""
     env = StateOnly(ExpertRequest(task=TaskConfig(name=TASK), expert=sac), 0)
     env.reset()
     base, rng = env.unwrapped.base, np.random.default_rng(0)

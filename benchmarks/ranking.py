@@ -1,8 +1,8 @@
-"""How far the order of a state's actions can be known at all: `python -m benchmarks.ranking`, or with names of tasks.
+"""Limits of the rank correlation over actions of one state: `python -m benchmarks.ranking [TASK ...]`.
 
-Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic:
-sixteen actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is
-smooth in the state cannot follow. And what decides may come later than the branches that a critic is fitted to.
+The benchmark measures two limits with the simulator alone. Contacts make some tasks chaotic: the order of sixteen
+actions differs in a state that is a milliradian or a millimetre away, and a critic that is smooth in the state cannot
+follow. The differences between actions may also appear later than the branches that a critic is fitted to.
 """
 
 import sys
@@ -30,7 +30,7 @@ TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))
 STATES = 24
 ENVIRONMENTS = 8
 DISTANCE = 1e-3
-"""Standard deviation of what is added to each position, in radians and metres."""
+"""Standard deviation of the offset of each position, in radians and metres."""
 
 
 def run(tasks: Sequence[str] = TASKS) -> list[Row]:
@@ -78,7 +78,7 @@ def _measure(task: str) -> list[Row]:
 
 
 def _near(env, visit: Visit, rng: np.random.Generator) -> Visit:
-    """The visit with each position moved by DISTANCE."""
+    """The visit with Gaussian offsets of all positions."""
     env.restore(visit.snapshot)
     mujoco.mj_integratePos(env.model, env.data.qpos, DISTANCE * rng.standard_normal(env.model.nv), 1)
     mujoco.mj_forward(env.model, env.data)

@@ -1,4 +1,5 @@
-"""What the finished default study cost, from the run.json of its artifacts, and what one more variant would: `python -m benchmarks.study`."""
+"""Cost of the finished default study, from the run.json of its artifacts, and jobs of one more variant:
+`python -m benchmarks.study`."""
 
 import json
 import re
@@ -20,23 +21,25 @@ from benchmarks.row import Row
 
 MOST_MINUTES, MOST_GB = 20.0, 6.0
 LONGEST_PAUSE_S = 60.0
-"""Between two stages lie the start of a process and Snakemake's own work. A longer gap is a user who came back later."""
+"""Longest gap between two stages in seconds: the start of a process and the work of Snakemake. In a longer gap the
+workflow did not run."""
 WORKFLOW_JOBS = {"all", "publish", "mlflow", "report"}
+"""Jobs of every run of the workflow."""
 VARIANT_JOBS = {"student", "evaluation", "clips"}
-"""What a variant that changes a student setting runs, besides."""
+"""Jobs of a variant that changes a student setting."""
 
 
 class NotMeasured(Exception):
-    """There is nothing to measure yet; the message says what to do."""
+    """The study is not finished. The message names the mend."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What run.json says of the making of one artifact."""
+    """One artifact's entries in run.json."""
 
     stage: str
     started: float
-    """Seconds since 1970."""
+    """Unix time, seconds."""
     seconds: float
     peak_bytes: int
     resumed: bool
@@ -47,7 +50,7 @@ class Job:
 
 
 def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> list[Row]:
-    """Minutes and memory of the study, seconds of each stage (`ratio`: its share of all), and the jobs of one more variant."""
+    """Rows of wall time, memory, seconds per stage (ratio: share of the total), and jobs of one more variant."""
     jobs = _jobs(config, results)
     seconds = busy_seconds(jobs)
     gigabytes = peak_bytes(jobs) / 1e9
@@ -90,7 +93,7 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
 
 
 def busy_seconds(jobs: Iterable[Job]) -> float:
-    """From the first start to the last end, without the pauses in which nobody ran the workflow."""
+    """Seconds from the first start to the last end, without gaps longer than LONGEST_PAUSE_S."""
     total, end = 0.0, None
     for job in sorted(jobs, key=lambda job: job.started):
         if end is not None and job.started > end:
@@ -102,7 +105,7 @@ def busy_seconds(jobs: Iterable[Job]) -> float:
 
 
 def peak_bytes(jobs: Iterable[Job]) -> int:
-    """The largest sum of the peaks of stages that ran at the same time: never less than what was really held."""
+    """Largest sum of the peak memory of simultaneous stages, in bytes. It is an upper bound of the memory in use."""
     events = sorted(
         [(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs]
     )
@@ -130,7 +133,7 @@ def _job(stage: str, file: Path) -> Job:
 
 
 def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
-    """A dry run of the finished study with another alpha as a further variant."""
+    """Row of a dry run of the finished study with another alpha as a further variant."""
     content = read_yaml(config)
     content["variants"] = {**content.get("variants", {}), "one-more": {"guidance": {"alpha": 1.2345}}}
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
@@ -145,7 +148,8 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
         value=variant_jobs,
         unit="jobs",
         ratio=variant_jobs / artifacts,
-        target=f"{seeds} students and their evaluations, nothing upstream{': but ' + str(other_jobs) if other_jobs else ''}",
+        target=f"{seeds} students and their evaluations, nothing upstream"
+        f"{': but ' + str(other_jobs) if other_jobs else ''}",
         met=not other_jobs and variant_jobs == len(VARIANT_JOBS) * seeds,
     )
 

@@ -25,15 +25,14 @@ class ReinforcementSettings(LearnerSettings):
         default=0.0,
         ge=0,
         le=1,
-        description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or "
-        "a key's angle. Only pose and key-turn tasks have such starts.",
+        description="Share of training episodes that start on the straight way to the goal, a hand's pose or a key's "
+        "angle. Only pose and key-turn tasks have such starts.",
     )
     warm_start: str = Field(
         default="",
-        description="What training starts from. Empty: from nothing. A task, such as myo/pen-twirl for "
-        "myo/pen-twirl-hard: its expert in zoo/, by the same algorithm. muscle: the muscle controller. PPO first "
-        "trains its policy to imitate the controller. SAC takes the controller's actions in place of its first random "
-        "ones.",
+        description="Start of training. Empty: an untrained policy. A task, such as myo/pen-twirl for "
+        "myo/pen-twirl-hard: the expert in zoo/ by the same algorithm. muscle: the muscle controller. PPO first trains "
+        "its policy to imitate the controller. SAC replaces its first random actions by those of the controller.",
     )
     muscle: ControllerSettings | None = Field(
         default=None, description="Settings of the muscle controller. Only with warm_start: muscle."

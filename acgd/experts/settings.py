@@ -54,7 +54,7 @@ class CardConfig(Section):
     episodes: int = Field(
         default=200,
         ge=1,
-        description="Held-out episodes behind the success on the card. The card in zoo/ serves where it has as many.",
+        description="Held-out episodes of the card. The card in zoo/ is used where it has at least as many.",
     )
 
 

@@ -27,7 +27,7 @@ AFTERWARDS = 10
 """Control steps from success to the end of an episode, so that the last frame shows the goal. The episode is truncated:
 with a termination, a policy that stays just short of success would earn more."""
 WEIGHTS = {"solved": 2.0, "failed": -5.0, "effort": -1e-3, "change": -1e-2}
-"""Weights of the reward terms of all tasks: solved, failed, and the squared norms of the action and of its change."""
+"""Weights of the common reward terms: solved, failed, squared norms of the action and of its change."""
 
 _BAD = [
     int(kind)
@@ -42,8 +42,8 @@ class DexterousTask(gymnasium.Env):
     - `image` (H, W, 3) uint8, absent with `image_size=None`;
     - `proprio` (P,) float32: joint positions, joint velocities times the control step, targets (all in m and rad), and
       the smoothed action;
-    - `state` (S,) float32: proprio, the share of `hold_steps` for which the goal has been met, and the object's entries.
-      `state_layout` names its columns.
+    - `state` (S,) float32: proprio, the share of `hold_steps` for which the goal has been met, and the entries of
+      the object. `state_layout` names its columns.
 
     Actions: (A,) in [-1, 1], in the order of the model's actuators.
     """

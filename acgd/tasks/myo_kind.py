@@ -22,6 +22,6 @@ class MyoKind:
     """(base, rng, goal): moves the object and, if `goal` is true, the goal. The number of draws does not depend on
     `goal`, so that a seed gives the same start in both cases."""
     nominal_goal: Callable[[Any], np.ndarray] | None = None
-    """base -> the goal of MyoSuite's reset, for tasks with a fixed goal. `perturb` reads it from `base.nominal_goal`."""
+    """base -> goal of MyoSuite's reset, for tasks with a fixed goal. `perturb` reads it as `base.nominal_goal`."""
     advance: Callable[[Any, float], None] | None = None
     """(base, share): moves the start by `share` of the way to the goal, for training. None without such starts."""

@@ -127,7 +127,7 @@ class MyoDexTask(gymnasium.Env):
         return self._observe(), reward, terminated, truncated, out
 
     def _unstable(self) -> bool:
-        """Whether the simulation is unstable. Without this test a pen at a distance of kilometres gives a reward of -46,000."""
+        """Whether the simulation is unstable. A pen at a distance of kilometres would give a reward of -46,000."""
         return self.base._check_mj_instability_termination() or np.abs(self.data.qpos).max() > FAR
 
     def snapshot(self) -> Snapshot:

@@ -16,17 +16,21 @@ CONTROLLED_KINDS = ("pose", "reach")
 class ControllerSettings(Section):
     """The muscle controller: docs/method.md, "Muscle controller"."""
 
-    rate: float = Field(default=8.0, gt=0, description="Share of the error that the controller would undo in a second.")
-    damping: float = Field(default=1.5, ge=0, description="Weight of the joints' velocity beside the error's.")
-    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
+    rate: float = Field(default=8.0, gt=0, description="Share of the error that the controller corrects per second.")
+    damping: float = Field(
+        default=1.5, ge=0, description="Weight of joint velocities in least squares; the error has weight 1."
+    )
+    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations in least squares.")
 
 
 class ImitationSettings(ControllerSettings):
     """Imitation of the muscle controller by dataset aggregation (DAgger)."""
 
-    steps: int = Field(default=200_000, ge=1, description="Environment steps with the controller's action, in all.")
+    steps: int = Field(default=200_000, ge=1, description="Environment steps that the controller labels, in total.")
     rounds: int = Field(
-        default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each."
+        default=20,
+        ge=1,
+        description="Rounds of equal size. After each round the policy is fitted to all rounds so far.",
     )
     epochs: int = Field(default=6, ge=1, description="Passes over all rounds so far after each round.")
     batch: int = Field(default=256, ge=2, description="Minibatch size.")
