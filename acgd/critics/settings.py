@@ -74,7 +74,7 @@ class FQESettings(Section):
     branches: BranchConfig = BranchConfig()
     horizon: PositiveInt = Field(
         64,
-        description="Largest number of rewards summed before bootstrapping, while actions follow the expert's mean. 1 is "
+        description="Most rewards summed before bootstrapping, while actions follow the expert's mean. 1 is "
         "one-step fitted Q evaluation.",
     )
     updates: PositiveInt = Field(5000, description="Gradient steps.")
