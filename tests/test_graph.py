@@ -181,6 +181,25 @@ def test_another_round_keeps_the_rounds_before():
     assert stages == OF_STUDENTS | {"onpolicy", "onpolicy_features"} and "student" not in whole
 
 
+def test_steps_of_a_round_collect_no_episode_of_that_round_anew():
+    once = merge(ROUNDS, {"variants": {"dagger": {"rounds": {"count": 1}}}})
+    more = merge(once, {"variants": {"dagger": {"rounds": {"steps": 7}}}})
+    assert difference(planned(once), planned(more))[0] == OF_STUDENTS
+
+
+def test_ways_of_acting_do_not_tell_students_of_one_action_apart():
+    bc = {"variants": {"acgd": {"student": {"kind": "bc"}}, "no-guidance": {"student": {"kind": "bc"}}}}
+    assert difference(planned(bc), planned(merge(bc, {"acting": {"eta": 1.0}})))[0] == {"report"}
+
+
+def test_goal_conditions_are_one_for_students_without_goals():
+    blind = {"imitation": {"goal_image": "off"}}
+    both = {**blind, "conditions": [{"goal": "training"}, {"goal": "oracle"}]}
+    one = {**blind, "conditions": [{"goal": "training"}]}
+    assert set(planned(both).artifacts) - set(planned(one).artifacts) == {planned(both).report.place}
+    assert planned(both).names["acgd/seed-0/evaluation"][0].request.condition.goal == "none"
+
+
 @pytest.mark.parametrize(
     "edit",
     [

@@ -37,7 +37,9 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
     @cache
     def run_batch():
         """Made where a wave is missing: loading the student and making environments takes seconds."""
-        student = load_policy(inputs["student"], inputs["backbone"], request.acting, ctx.device, LOCKSTEP)
+        student = load_policy(
+            inputs["student"], inputs["backbone"], request.acting, ctx.device, LOCKSTEP, weights="last"
+        )
         weights = expert.meta["reward_weights"]
         lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)

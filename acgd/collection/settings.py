@@ -1,11 +1,11 @@
 """Demonstrations: how many, and how the expert acts while they are recorded. On-policy episodes of a student."""
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from acgd.settings import Request, Section
-from acgd.students.settings import ActingConfig, RoundsConfig
+from acgd.students.settings import ActingConfig, RoundEpisodes
 from acgd.tasks.settings import ImageConfig, TaskConfig
 
 
@@ -50,6 +50,13 @@ class OnPolicyRequest(Request):
     task: TaskConfig
     image: ImageConfig
     acting: ActingConfig = Field(ActingConfig(), description="How students act, in rounds and in evaluations.")
-    rounds: RoundsConfig
+    rounds: RoundEpisodes
     round: int = Field(ge=1, description="Number of the round. The student is that of the round before.")
     seed: int = Field(ge=0, description="Seed of the student. Students of different seeds begin at different episodes.")
+
+    @field_validator("rounds", mode="before")
+    @classmethod
+    def _episodes_alone(cls, rounds: RoundEpisodes | dict[str, Any]) -> dict[str, Any]:
+        """Without what the student alone reads, such as its optimiser steps."""
+        content = rounds if isinstance(rounds, dict) else rounds.model_dump()
+        return {name: content[name] for name in RoundEpisodes.model_fields if name in content}

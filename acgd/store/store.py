@@ -145,10 +145,11 @@ class Store:
         _sync_folder(path.parent)
 
     def _declare(self, path: Path, place: str, identity: Mapping[str, Any]) -> None:
+        """Writes the manifest, with the precision that the payload was computed in where its settings name one."""
         stage, name, key = place.split("/")
-        _write_json(
-            path / MANIFEST, {**identity, "stage": stage, "name": name, "key": key, "payload": _checksums(path)}
-        )
+        precision = json.loads((path / RUN).read_text(encoding="utf-8")).get("precision_used")
+        named = {"stage": stage, "name": name, "key": key} | ({"precision": precision} if precision else {})
+        _write_json(path / MANIFEST, {**identity, **named, "payload": _checksums(path)})
         _sync_folder(path)
 
 

@@ -43,19 +43,25 @@ class ActingConfig(Section):
     eta: Annotated[float, Field(ge=0)] = Field(2.0, description="eta of the ensembling weights exp(-eta i)")
 
 
-class RoundsConfig(Section):
-    """On-policy rounds: the student acts, and goes on learning from the states that it visits."""
+class RoundEpisodes(Section):
+    """The episodes of one on-policy round."""
 
-    count: int = Field(0, ge=0, le=100, description="rounds after the demonstrations", json_schema_extra=OUTSIDE_KEY)
-    episodes: int = Field(10, ge=1, le=10_000, description="episodes of each task in each round")
+    episodes: int = Field(10, ge=1, le=10_000, description="Episodes of each task in each round.")
     beta: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.5, description="with probability beta ** round the expert acts in place of the student"
+        0.5, description="In round r the expert acts in place of the student with probability beta ** r, in each step."
     )
     labels: Literal["expert", "none"] = Field(
         "expert",
-        description="expert: imitate the expert's mean in visited states (DAgger); none: guidance alone trains on them",
+        description="expert: the student imitates the expert's mean in visited states (DAgger). none: guidance alone "
+        "trains the student on these states.",
     )
-    steps: int = Field(1000, ge=1, description="optimiser steps of each round, in place of training.steps")
+
+
+class RoundsConfig(RoundEpisodes):
+    """On-policy rounds: the student acts, and goes on learning from the states that it visits."""
+
+    count: int = Field(0, ge=0, le=100, description="Rounds after the demonstrations.", json_schema_extra=OUTSIDE_KEY)
+    steps: int = Field(1000, ge=1, description="Optimiser steps of each round, in place of training.steps.")
 
 
 class CodebookRequest(Request):

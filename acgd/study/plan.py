@@ -11,10 +11,12 @@ from itertools import product
 from typing import Any
 
 from acgd import chain
+from acgd.evaluation.settings import Condition
 from acgd.reports.settings import ReportEntry, ReportRequest
 from acgd.settings import Request, imported
 from acgd.store import key
 from acgd.store.stage import Axis, Read, Stage
+from acgd.students.settings import ActingConfig
 from acgd.study.study import PER_TASK, Settings, Study
 from acgd.tasks import definition
 from acgd.tasks.settings import TaskConfig
@@ -132,12 +134,13 @@ class _Variant:
 
     def __init__(self, plan: Plan, settings: Settings) -> None:
         self.plan, self.settings = plan, settings
+        self.conditions = tuple(dict.fromkeys(self._condition(condition) for condition in settings.conditions))
         self.made: dict[str, dict[tuple[tuple[Axis, int], ...], Artifact]] = {}
         """Stage -> where on its axes -> artifact."""
         self.axes: dict[Axis, tuple[int, ...]] = {
             "seed": settings.seeds,
             "round": tuple(range(settings.rounds.count + 1)),
-            "condition": tuple(range(len(settings.conditions))),
+            "condition": tuple(range(len(self.conditions))),
             "task": tuple(range(len(settings.tasks))),
         }
 
@@ -197,17 +200,24 @@ class _Variant:
     def request(self, stage: Stage, at: At) -> Request:
         """Each field by its name: an axis of the artifact, or the section of that name."""
         settings, number = self.settings, at.get("round", 0)
+        # All ways of acting are one where a chunk is one action, so that they must not tell keys apart.
         given: dict[str, Any] = {
             "tasks": tuple(each.task for each in settings.each_task),
             "seed": at.get("seed"),
             "round": number,
             "rounds": settings.rounds if number else None,
-            "condition": settings.conditions[at.get("condition", 0)],
+            "condition": self.conditions[at.get("condition", 0)],
+            "acting": settings.acting if settings.student.chunk > 1 else ActingConfig(),
         }
         if "task" in at:
             given |= {name: getattr(settings.each_task[at["task"]], name) for name in PER_TASK}
         kind = imported(stage.request)
         return kind(**{name: given[name] if name in given else getattr(settings, name) for name in kind.model_fields})
+
+    def _condition(self, condition: Condition) -> Condition:
+        """The condition as the student meets it: without a goal image in training it gets none."""
+        blind = self.settings.imitation.goal_image == "off"
+        return condition.model_copy(update={"goal": "none"}) if blind else condition
 
     def default_name(self, at: At) -> str:
         """Its task, or its group of tasks; its seed and round."""
