@@ -114,7 +114,10 @@ def test_an_artifact_that_is_lost_is_made_again_to_the_same_bytes_and_nothing_fo
 
 @pytest.mark.parametrize("name", TRAINED)
 def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, uninterrupted, without, planned):
-    """In steps 1-4, before the first checkpoint; in 6-9, after it (in step 5 it is yet to be written); and around the second."""
+    """Kills in steps 1-4, before the first checkpoint; in 6-9, after it; and around the second checkpoint.
+
+    The first checkpoint is written in step 5.
+    """
     artifact = planned.names[name][0]
     folder = without(artifact)
     write_requests(Store(folder / "results"), {place: one.job for place, one in planned.artifacts.items()})
@@ -139,7 +142,7 @@ def test_killed_at_three_random_steps_training_ends_in_the_same_bytes(name, unin
 
 @pytest.mark.parametrize("whole", [True, False], ids=["with its jobs", "alone, while its jobs live on"])
 def test_a_workflow_killed_in_the_middle_goes_on(whole, uninterrupted, without, planned):
-    """Killed alone, Snakemake leaves jobs that go on working; the next workflow waits for them, or finds what they made."""
+    """If only Snakemake is killed, its jobs continue. The next workflow waits for them or reads their artifacts."""
     folder = without(planned.names["acgd/backbone"][0], planned.names["acgd/seed-0/codebook"][0])
     running = subprocess.Popen(
         [*snakemake(), "all"], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
