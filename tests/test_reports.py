@@ -173,7 +173,8 @@ def test_the_lines_of_gate_and_floor_are_those_of_the_students(tmp_path: Path) -
     with_gate = said(*study(tmp_path / "with", rates, reliable_rank=0.35))
     assert "A ratio below 1% counts as no guidance." in with_gate
     request, inputs = study(tmp_path / "drawn", rates, reliable_rank=0.35)
-    assert "Dashed: 0.35, which the reliable gate asks" in words(report(request, inputs, tmp_path / "out")[1])
+    page = words(report(request, inputs, tmp_path / "out")[1])
+    assert "Dashed: 0.35, the least low end of the interval for the reliable gate" in page
     request, inputs = study(tmp_path / "without", rates)
     assert "reliable gate" not in words(report(request, inputs, tmp_path / "out2")[1])
 

@@ -22,8 +22,8 @@ class Condition(Section):
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",
-        description="Images of the policy. own: the episode's. shuffled: in each step the image of another episode at the same step. "
-        "The loss of success measures how much the student uses its images.",
+        description="Images of the policy. own: of the episode. shuffled: in each step the image of another episode at "
+        "the same step. The loss of success measures how much the student uses its images.",
     )
     start: Literal["perturbed", "nominal"] | None = Field(
         None,

@@ -35,8 +35,8 @@ class ACGDConfig(Section):
     codes: Annotated[int, Field(ge=2)] = Field(16, description="Codes in each group, n_c.")
     logits: Literal["direct", "distance"] = Field(
         "direct",
-        description="Logits of the codes. direct: z_e are the logits (the paper). distance: the negative squared distances of z_e "
-        "to the codes are the logits.",
+        description="Logits of the codes. direct: z_e (the paper). distance: the negative squared distances of z_e to "
+        "the codes.",
     )
     width: Positive = Field(128, description="Width of every embedding, including n_q of the codes.")
     heads: Positive = Field(4, description="Attention heads.")
