@@ -542,7 +542,7 @@ def test_a_student_that_owns_its_cnn_reads_images(kind, critics, tmp_path):
 @every_student
 @every_guidance
 @pytest.mark.parametrize("size", ["two windows a batch", "one demonstration", "episodes shorter than a chunk"])
-def test_the_smallest_that_the_configuration_allows(kind, guided_by, size, critics, tmp_path):
+def test_the_smallest_settings_train(kind, guided_by, size, critics, tmp_path):
     few = {"one demonstration": 1}.get(size, 4)
     length = 5 if size == "episodes shorter than a chunk" else 20
     rollouts = [

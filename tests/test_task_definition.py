@@ -89,7 +89,7 @@ EDITS = {
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_an_edit_changes_what_it_changes(copy: Path, name: str) -> None:
+def test_an_edit_changes_only_the_digests_that_it_affects(copy: Path, name: str) -> None:
     file, pattern, replacement, *expected = EDITS[name]
     edit(copy, file, pattern, replacement)
     before, after = {task: definition(task) for task in TASKS}, definitions(copy)
@@ -129,7 +129,7 @@ def test_every_source_that_an_episode_loads_defines_the_task(name: str) -> None:
     assert len(loaded) > 8 and loaded - names == set(sources(name))
 
 
-def test_it_is_fast_and_loads_no_simulator() -> None:
+def test_a_task_definition_is_fast_and_loads_no_simulator() -> None:
     code = (
         "import sys, time; from acgd.tasks.definition import definition; from acgd.tasks.spec import TASKS\n"
         "began = time.process_time(); [definition(name) for name in list(TASKS)[:10]]\n"
