@@ -161,7 +161,7 @@ def artifact(tmp_path: Path) -> MakeArtifact:
         request = {"student": {"width": 64, "name": "x" * 9000}, "tasks": [{"name": "myo/pose"}, {"name": "myo/reach"}]}
         manifest = {"stage": stage, "name": "toy", "key": key, "request": request, "inputs": inputs or {}}
         (path / "manifest.json").write_text(json.dumps(manifest))
-        return Mirrored(path, names)
+        return Mirrored(path, names, ("health.json",))
 
     return make
 
