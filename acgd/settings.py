@@ -20,8 +20,8 @@ class Section(BaseModel):
 class Request(Section):
     """All that one artifact depends on besides its inputs.
 
-    The plan fills every field by its name. `task` (TaskConfig), `tasks`, `seed`, `round` and `condition` are those of the
-    artifact. Any other field is the variant's section of that name.
+    The plan fills every field by its name. `task` (TaskConfig), `tasks`, `seed`, `round` and `condition` are those of
+    the artifact. Any other field is the variant's section of that name.
     """
 
     def uses(self, stage: str) -> bool:
