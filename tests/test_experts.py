@@ -18,7 +18,6 @@ from acgd.experts.muscle.control import _ERRORS, MuscleControl
 from acgd.experts.muscle.settings import CONTROLLED_KINDS, ControllerSettings
 from acgd.experts.policy import LOG_STD, Expert
 from acgd.experts.ppo import learn as ppo
-from acgd.experts.reinforcement import ADVANCED_KINDS
 from acgd.experts.sac import learn as sac
 from acgd.experts.sac.replay import Replay
 from acgd.experts.sac.settings import SACSettings
@@ -33,7 +32,6 @@ from acgd.store.key import file_digest, in_key
 from acgd.store.metrics import Metrics, read
 from acgd.store.progress import Progress
 from acgd.store.stage import Context
-from acgd.tasks import starts
 from acgd.tasks.settings import TaskConfig
 
 SHARED = dict(steps=96, envs=2, width=8, evaluate_every=32, evaluation_episodes=2, checkpoint_every=32)
@@ -265,7 +263,7 @@ def test_what_a_task_or_the_zoo_lacks_is_a_fault_with_its_mend(settings, task, f
 
 
 def test_kinds_of_tasks_that_settings_name_are_those_of_the_code():
-    assert set(CONTROLLED_KINDS) == set(_ERRORS) and set(ADVANCED_KINDS) == set(starts.ADVANCED_KINDS)
+    assert set(CONTROLLED_KINDS) == set(_ERRORS)
 
 
 def test_settings_that_no_training_can_use_are_refused():

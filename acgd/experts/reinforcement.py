@@ -9,10 +9,7 @@ from pydantic import Field, model_validator
 from acgd.experts import zoo
 from acgd.experts.learner import LearnerSettings
 from acgd.experts.muscle.settings import ControllerSettings, without_controller
-from acgd.tasks.spec import TASKS
-
-ADVANCED_KINDS = ("key-turn", "pose")
-"""Kinds of tasks with starts on the way to the goal. A test compares this list with acgd/tasks/spec.py."""
+from acgd.tasks.spec import ADVANCED_KINDS, TASKS
 
 
 class ReinforcementSettings(LearnerSettings):
