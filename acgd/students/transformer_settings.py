@@ -1,0 +1,27 @@
+"""Settings that the students which decode a chunk by a transformer share."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from acgd.settings import Section
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+class TransformerSettings(Section):
+    """Windows and widths."""
+
+    chunk: Positive = Field(8, description="k, actions in a chunk")
+    history: Positive = Field(4, description="h, proprioceptive states that the policy sees, the current one included")
+    width: Positive = Field(128, description="width of every embedding, n_q of the codes included")
+    heads: Positive = Field(4, description="attention heads")
+    decoder_layers: Positive = Field(1, description="transformer layers of psi_dec")
+    expansion: Positive = Field(2, description="hidden width of feed-forward networks, in widths")
+
+    @model_validator(mode="after")
+    def _heads_divide_width(self) -> "TransformerSettings":
+        if self.width % self.heads:
+            multiple = self.heads * (self.width // self.heads + 1)
+            raise ValueError(f"width {self.width} is no multiple of heads {self.heads}; choose e.g. width {multiple}")
+        return self
