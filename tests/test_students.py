@@ -555,7 +555,7 @@ def test_the_smallest_that_the_configuration_allows(kind, guided_by, size, criti
         synthetic.rollouts(tmp_path / f"r{i}", i, episodes=few, length=length, state=STATES[i]) for i in range(2)
     ]
     inputs = {"rollouts": rollouts, "features": rollouts, "critic": critics}
-    training, student = {"batch": 2}, {"chunk": 12, "history": 9} if kind == "acgd" else {}
+    training, student = {"batch": 2}, {} if kind == "bc" else {"chunk": 12, "history": 9}
     if kind == "acgd":
         book = synthetic.codebook_request(training=training, **student)
         inputs["codebook"] = run(fit, book, inputs, tmp_path / "codebook")
