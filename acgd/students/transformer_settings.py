@@ -12,12 +12,12 @@ Positive = Annotated[int, Field(ge=1)]
 class TransformerSettings(Section):
     """Windows and widths."""
 
-    chunk: Positive = Field(8, description="k, actions in a chunk")
-    history: Positive = Field(4, description="h, proprioceptive states that the policy sees, the current one included")
-    width: Positive = Field(128, description="width of every embedding, n_q of the codes included")
-    heads: Positive = Field(4, description="attention heads")
-    decoder_layers: Positive = Field(1, description="transformer layers of psi_dec")
-    expansion: Positive = Field(2, description="hidden width of feed-forward networks, in widths")
+    chunk: Positive = Field(8, description="k, actions in a chunk.")
+    history: Positive = Field(4, description="h, proprioceptive states that the policy sees, the current one included.")
+    width: Positive = Field(128, description="Width of every embedding, n_q of acgd's codes included.")
+    heads: Positive = Field(4, description="Attention heads.")
+    decoder_layers: Positive = Field(1, description="Transformer layers of psi_dec.")
+    expansion: Positive = Field(2, description="Hidden width of feed-forward networks, in widths.")
 
     @model_validator(mode="after")
     def _heads_divide_width(self) -> "TransformerSettings":
