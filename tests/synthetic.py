@@ -29,7 +29,9 @@ STUDENTS = {
         "encoder_layers": 1,
         "decoder_layers": 1,
     },
+    "act": {"kind": "act", "chunk": 4, "history": 3, "latent": 4, "width": 32, "heads": 2},
     "bc": {"kind": "bc", "width": 64},
+    "chunk": {"kind": "chunk", "chunk": 4, "history": 3, "width": 32, "heads": 2},
 }
 """Tiny students, one of each kind."""
 TRAINING = {"bc": {"learning_rate": 1e-2}}

@@ -25,11 +25,14 @@ from acgd.store import metrics
 from acgd.store.stage import Context
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.fit_codebook import fit
-from acgd.students.acgd.model import ACGD, ActionDecoder, Codebook
+from acgd.students.acgd.model import ACGD, Codebook
 from acgd.students.acgd.quantizer import Quantizer
 from acgd.students.acgd.settings import ACGDConfig
+from acgd.students.act import losses as act_losses
+from acgd.students.act.settings import ACTConfig
 from acgd.students.acting import ChunkPolicy
 from acgd.students.data import Batch, Data, Observation
+from acgd.students.decoder import ActionDecoder
 from acgd.students.distil import distil, start, validate
 from acgd.students.ensembling import ensemble
 from acgd.students.kinds import STUDENTS
@@ -312,7 +315,7 @@ def test_a_request_says_what_it_reads():
         return {stage for stage in stages if request.uses(stage)}
 
     assert uses(kind="acgd") == {"features", "codebook"}
-    assert uses(kind="bc") == {"features"}
+    assert uses(kind="bc") == uses(kind="act") == uses(kind="chunk") == {"features"}
     assert uses(kind="bc", guidance={"kind": "critic"}) == {"features", "critic"}
     assert uses(kind="bc", guidance={"kind": "critic", "gate": "reliable"}) == {"features", "critic", "quality"}
     later = {"student", "onpolicy", "onpolicy_features"}
@@ -549,7 +552,7 @@ def test_the_smallest_settings_train(kind, guided_by, size, critics, tmp_path):
         synthetic.rollouts(tmp_path / f"r{i}", i, episodes=few, length=length, state=STATES[i]) for i in range(2)
     ]
     inputs = {"rollouts": rollouts, "features": rollouts, "critic": critics}
-    training, student = {"batch": 2}, {"chunk": 12, "history": 9} if kind == "acgd" else {}
+    training, student = {"batch": 2}, {} if kind == "bc" else {"chunk": 12, "history": 9}
     if kind == "acgd":
         book = synthetic.codebook_request(training=training, **student)
         inputs["codebook"] = run(fit, book, inputs, tmp_path / "codebook")
@@ -666,6 +669,102 @@ def test_options_train_save_and_load(student, imitation, training, inputs, tmp_p
 def test_heads_that_do_not_divide_the_width_are_refused():
     with pytest.raises(ValueError, match="width 130 is no multiple of heads 4"):
         ACGDConfig(width=130)
+
+
+# --- ACT and the chunk without codes --------------------------------------------------------------------------
+
+
+def test_kl_by_hand():
+    mean, log_variance = torch.tensor([[1.0, 0.0]]), torch.log(torch.tensor([[1.0, 4.0]]))
+    # 0.5 (mu^2 + sigma^2 - log sigma^2 - 1): 0.5 for the first component, 0.5 (4 - log 4 - 1) for the second
+    expected = 0.5 + 0.5 * (3 - np.log(4))
+    assert act_losses.kl(mean, log_variance).tolist() == pytest.approx([expected])
+    assert act_losses.kl(torch.zeros(3, 2), torch.zeros(3, 2)).tolist() == [0, 0, 0]
+
+
+def test_z_has_the_moments_of_the_posterior_and_their_gradients():
+    mean, log_variance = (torch.full((20000, 1), x, requires_grad=True) for x in (0.5, float(np.log(4.0))))
+    z = act_losses.sample(mean, log_variance, generator())
+    assert (z.mean().item(), z.std().item()) == pytest.approx((0.5, 2.0), abs=0.05)
+    by_mean, by_log_variance = torch.autograd.grad(z.sum(), (mean, log_variance))
+    assert torch.equal(by_mean, torch.ones_like(mean))
+    assert torch.allclose(by_log_variance, 0.5 * (z - mean).detach(), atol=1e-5)
+
+
+def test_loss_of_act_is_l1_and_the_weighed_kl_of_its_posterior(inputs):
+    student, data = prepared("act", inputs)
+    batch = data.batch(data.sample(16, generator()), generator())
+    imitation = student.imitate(batch, guided=0, noise=0.0, generators=streams())
+    seen = student.inputs(batch.observation)
+    mean, log_variance = student.posterior(seen, batch)
+    z = act_losses.sample(mean, log_variance, streams()["data"])
+    chunk = student.decode(z, student.tokens(seen, batch.observation.task))
+    l_act = ((chunk - batch.chunk).abs().sum(-1) * batch.mask).sum(-1) / batch.mask.sum(-1)
+    l_kl = (mean.square() + log_variance.exp() - log_variance - 1).sum(-1) / 2
+    assert torch.allclose(imitation.loss, l_act + synthetic.A * 10.0 * l_kl, rtol=1e-4)
+    assert torch.allclose(imitation.metrics["l_kl"], l_kl, rtol=1e-4) and l_kl.min() > 0
+
+
+def test_act_plans_by_z_zero_and_its_style_encoder_reads_only_labels_in_training(inputs):
+    student, data = prepared("act", inputs)
+    seen = data.batch(data.sample(8, generator()), generator()).observation
+    tokens = student.tokens(student.inputs(seen), seen.task)
+    plan = student.plan(seen)
+    assert torch.equal(plan, student.decode(torch.zeros(8, 4), tokens)) and torch.equal(plan, student.plan(seen))
+    assert not torch.allclose(plan, student.decode(torch.ones(8, 4), tokens), atol=1e-3)
+    with torch.no_grad():
+        for p in student.style_encoder.parameters():
+            p.fill_(torch.nan)
+    assert torch.equal(plan, student.plan(seen))
+
+
+def test_guidance_of_act_passes_the_prior_and_imitation_the_posterior(inputs, guidance):
+    student, data = prepared("act", inputs)
+    batch = data.batch(data.sample(16, generator()), generator())
+
+    def gradients(of_guidance: bool) -> dict[str, float]:
+        student.zero_grad()
+        imitation = student.imitate(batch, guided=16, noise=0.0, generators=streams())
+        if of_guidance:
+            guidance.loss(imitation.proposal, data.reference(batch)).mean().backward()
+        else:
+            imitation.metrics["l_act"].mean().backward()
+        parts = ("style_encoder", "tokens", "latent", "encoder", "decoder")
+        return {
+            part: sum(p.grad.abs().sum().item() for p in getattr(student, part).parameters() if p.grad is not None)
+            for part in parts
+        }
+
+    by_guidance, by_imitation = gradients(True), gradients(False)
+    assert by_guidance.pop("style_encoder") == 0 and min(by_guidance.values()) > 0
+    assert min(by_imitation.values()) > 0
+    # a proposal knows the observation alone: other labels leave it as it is
+    proposals = [
+        student.imitate(replace(batch, chunk=chunk), guided=16, noise=0.0, generators=streams()).proposal
+        for chunk in (batch.chunk, -batch.chunk)
+    ]
+    assert torch.equal(*proposals)
+
+
+def test_act_has_one_decoder_layer_as_published_and_uses_every_layer_that_it_has(inputs):
+    assert ACTConfig().decoder_layers == 1
+    data = loaded_data(inputs, "act")
+    request = synthetic.student_request("act", decoder_layers=3)
+    student = start(request, data, inputs, CPU)
+    batch = data.batch(data.sample(16, generator()), generator())
+    student.imitate(batch, guided=0, noise=0.0, generators=streams()).loss.mean().backward()
+    assert len(student.decoder.blocks) == 3
+    assert all(
+        p.grad is not None and p.grad.abs().max() > 0 for p in student.decoder.blocks[2].feedforward.parameters()
+    )
+
+
+def test_a_chunk_without_codes_has_the_parts_of_acgd_and_no_others(inputs):
+    acgd, chunk = prepared("acgd", inputs)[0], prepared("chunk", inputs)[0]
+    shapes = {
+        name: value.shape for name, value in acgd.state_dict().items() if name.startswith(("observer.", "decoder."))
+    }
+    assert {name: value.shape for name, value in chunk.state_dict().items()} == shapes
 
 
 # --- critic guidance ------------------------------------------------------------------------------------------

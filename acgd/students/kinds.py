@@ -4,5 +4,7 @@ from acgd.settings import Kind
 
 STUDENTS: dict[str, Kind] = {
     "acgd": Kind("acgd.students.acgd.settings:ACGDConfig", "acgd.students.acgd.model:ACGD"),
+    "act": Kind("acgd.students.act.settings:ACTConfig", "acgd.students.act.model:ACT"),
     "bc": Kind("acgd.students.bc.settings:BCConfig", "acgd.students.bc.model:BC"),
+    "chunk": Kind("acgd.students.chunk.settings:ChunkConfig", "acgd.students.chunk.model:Chunk"),
 }

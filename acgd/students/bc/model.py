@@ -8,12 +8,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.nn.excitation import to_loss_space
-from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
 from acgd.students.bc.settings import BCConfig
 from acgd.students.data import Batch, Data, Observation
+from acgd.students.errors import l1_error
 from acgd.students.inputs import StudentInputs
 from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
@@ -64,8 +63,7 @@ class BC(nn.Module):
 
     def error(self, action: Tensor, batch: Batch) -> Tensor:
         """1-norm of the error of each window: action (B, 1, A) -> (B,)."""
-        space = self.imitation.action_space
-        return l1(to_loss_space(action, space), to_loss_space(batch.chunk, space), batch.mask)
+        return l1_error(action, batch, self.imitation.action_space)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
