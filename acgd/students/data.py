@@ -24,11 +24,12 @@ class Observation:
     """All that a student may read. The privileged state is no part of it."""
 
     vision: Tensor
-    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images where the student owns its CNN."""
+    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images where the student owns its CNN; of a recurrent
+    kind (B, k, F) or (B, k, H, W, 3), oldest first."""
     goal: Tensor | None
-    """The same for the goal image o_T."""
+    """(B, F) or (B, H, W, 3): the same for the goal image o_T."""
     proprio: Tensor
-    """(B, h, P), oldest first; the last row is the current one."""
+    """(B, h, P), oldest first; the last row is the current one. Of a recurrent kind (B, k, P)."""
     task: Tensor
     """(B,) long, index in the study's list of tasks."""
 
@@ -66,6 +67,8 @@ class Data:
     goal_image: str
     k: int
     h: int
+    recurrent: bool = False
+    """Windows hold an observation of every step of the chunk; past the episode's end its last one repeats."""
     targets: dict[str, Tensor] = field(default_factory=dict)
     """Name -> (N, ...), see Batch."""
 
@@ -80,6 +83,7 @@ class Data:
         states: bool,
         device: torch.device,
         onpolicy_labels: str = "expert",
+        recurrent: bool = False,
     ) -> "Data":
         """Reads the inputs `rollouts` and `onpolicy`, with `features` and `onpolicy_features`, or else the images.
 
@@ -97,11 +101,19 @@ class Data:
         ]
         demonstrations, per_step, per_episode = zip(*episodes)
         windows = Windows.join(demonstrations, per_step, per_episode, device)
-        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated=windows.episode_task < tasks)
+        demonstrated = windows.episode_task < tasks
+        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated, recurrent=recurrent)
 
     @classmethod
     def of(
-        cls, windows: Windows, imitation: ImitationConfig, chunk: int, history: int, demonstrated: Tensor | None = None
+        cls,
+        windows: Windows,
+        imitation: ImitationConfig,
+        chunk: int,
+        history: int,
+        demonstrated: Tensor | None = None,
+        *,
+        recurrent: bool = False,
     ) -> "Data":
         """Over windows; without `demonstrated` (K,) all their episodes are demonstrations."""
         if demonstrated is None:
@@ -117,6 +129,7 @@ class Data:
             goal_image=imitation.goal_image,
             k=chunk,
             h=history,
+            recurrent=recurrent,
         )
 
     def with_targets(self, targets: dict[str, Tensor]) -> "Data":
@@ -137,8 +150,11 @@ class Data:
         windows = self.windows
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
-        proprio = windows.history_of("proprio", t, self.h - 1)
-        observation = Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task)
+        if self.recurrent:
+            vision, proprio = (windows.chunk_of(name, t, self.k)[0] for name in ("vision", "proprio"))
+        else:
+            vision, proprio = windows.steps["vision"][t], windows.history_of("proprio", t, self.h - 1)
+        observation = Observation(vision, self._goal(t, task, generator), proprio, task)
         targets = {name: value[t] for name, value in self.targets.items()}
         return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 

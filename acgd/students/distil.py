@@ -23,6 +23,7 @@ from acgd.students.student import Student
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
+"""Observations."""
 PLAN_ERROR = "validation_plan_error"
 """Chooses the best weights: the error of what the student would do, per action component. L_BC would not do for every
 kind: a cross-entropy of codes grows with confidence while the plan still improves."""
@@ -45,6 +46,7 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         states=guidance is not None,
         device=ctx.device,
         onpolicy_labels="expert" if request.rounds is None else request.rounds.labels,
+        recurrent=settings.recurrent,
     )
     student = start(request, data, inputs, ctx.device)
     data = data.with_targets(student.prepare(data, inputs))
@@ -118,7 +120,7 @@ def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[st
     generators: Generators = {"data": torch.Generator(data.windows.task.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}
     space = student.imitation.action_space
-    for t in data.windows.validation.split(VALIDATION_BATCH):
+    for t in data.windows.validation.split(max(1, VALIDATION_BATCH // (data.k if data.recurrent else 1))):
         batch = data.batch(t, generators["data"])
         plan = student.plan(batch.observation)
         error = l1(to_loss_space(plan, space), to_loss_space(batch.chunk, space), batch.mask)

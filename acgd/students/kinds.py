@@ -5,4 +5,5 @@ from acgd.settings import Kind
 STUDENTS: dict[str, Kind] = {
     "acgd": Kind("acgd.students.acgd.settings:ACGDConfig", "acgd.students.acgd.model:ACGD"),
     "bc": Kind("acgd.students.bc.settings:BCConfig", "acgd.students.bc.model:BC"),
+    "bc_rnn": Kind("acgd.students.bc_rnn.settings:BCRNNConfig", "acgd.students.bc_rnn.model:BCRNN"),
 }

@@ -41,8 +41,9 @@ class Imitation:
 class Student(Protocol):
     """An nn.Module of one kind.
 
-    Its settings say `chunk` k and `history` h, the steps of its windows, and `needs`, further stages that it reads. Its
-    state dict is all that it has learned.
+    Its settings say `chunk` k and `history` h, the steps of its windows; `recurrent`, whether a window has an
+    observation for each of its actions; and `needs`, further stages that it reads. Its state dict is all that it has
+    learned.
     """
 
     settings: Section

@@ -200,14 +200,15 @@ class _Variant:
     def request(self, stage: Stage, at: At) -> Request:
         """Each field by its name: an axis of the artifact, or the section of that name."""
         settings, number = self.settings, at.get("round", 0)
-        # All ways of acting are one where a chunk is one action, so that they must not tell keys apart.
+        # All ways of acting are one where no chunks overlap, so that they must not tell keys apart.
+        chunks = settings.student.chunk > 1 and not settings.student.recurrent
         given: dict[str, Any] = {
             "tasks": tuple(each.task for each in settings.each_task),
             "seed": at.get("seed"),
             "round": number,
             "rounds": settings.rounds if number else None,
             "condition": self.conditions[at.get("condition", 0)],
-            "acting": settings.acting if settings.student.chunk > 1 else ActingConfig(),
+            "acting": settings.acting if chunks else ActingConfig(),
         }
         if "task" in at:
             given |= {name: getattr(settings.each_task[at["task"]], name) for name in PER_TASK}

@@ -25,6 +25,7 @@ class ACGDConfig(Section):
     """The paper's student: codes of an action chunk, predicted from the observation and decoded (Figure 2)."""
 
     needs: ClassVar[tuple[str, ...]] = ("codebook",)
+    recurrent: ClassVar[bool] = False
 
     kind: Literal["acgd"] = "acgd"
     chunk: Positive = Field(8, description="k, actions in a chunk")

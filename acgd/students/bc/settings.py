@@ -11,6 +11,7 @@ class BCConfig(Section):
     """The floor of what a method must beat: two hidden layers, one action a step, without memory."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    recurrent: ClassVar[bool] = False
     chunk: ClassVar[int] = 1
     history: ClassVar[int] = 1
 
