@@ -30,7 +30,7 @@ STUDENTS = {
         "decoder_layers": 1,
     },
     "bc": {"kind": "bc", "width": 64},
-    "bc_rnn": {"kind": "bc_rnn", "sequence": 4, "width": 32, "modes": 3},
+    "bc_rnn": {"kind": "bc_rnn", "sequence": 4, "width": 64, "modes": 3},
 }
 """Tiny students, one of each kind."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}

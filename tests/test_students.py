@@ -345,7 +345,7 @@ def test_a_codebook_learns_a_small_dataset_and_its_codes_carry_the_chunk(learned
 @every_student
 @every_guidance
 def test_a_student_learns_a_small_dataset(kind, guided_by, inputs, learned_codebook, tmp_path):
-    training = LEARNING | ({"learning_rate": 1e-2} if kind == "bc" else {})
+    training = LEARNING | ({"learning_rate": 1e-2} if kind in ("bc", "bc_rnn") else {})
     inputs = inputs | {"codebook": learned_codebook}
     guidance = synthetic.GUIDANCE[guided_by] | ({"gate": "reliable"} if guided_by == "critic" else {})
     out = distilled(synthetic.student_request(kind, guidance, training), inputs, tmp_path / "student")
