@@ -33,6 +33,8 @@ STUDENTS = {
     "bc_rnn": {"kind": "bc_rnn", "sequence": 4, "width": 64, "modes": 3},
 }
 """Tiny students, one of each kind."""
+TRAINING = {"bc": {"learning_rate": 1e-2}, "bc_rnn": {"learning_rate": 1e-2}}
+"""Kinds that need other settings than the rest to learn the small dataset in a few steps."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 
 

@@ -61,7 +61,7 @@ EDITS = {
     "camera": ("kinds/key_turn.py", r"0\.29, 100\.0", "0.39, 100.0", NONE, KEY),
     "comment": ("kinds/key_turn.py", r"# the Random task", "# that task", NONE, NONE),
     "docstring": ("kinds/key_turn.py", r'\A"""Key-turn:', '"""Key:', NONE, NONE),
-    "string below a constant": ("kinds/key_turn.py", r'^"""rad"""', '"""Radians."""', NONE, NONE),
+    "string below a constant": ("kinds/key_turn.py", r'^"""Uniform noise of the key's angle, rad."""', '"""Radians."""', NONE, NONE),
     "layout": ("kinds/key_turn.py", r"uniform\(-KEY_ANGLE, ", "uniform(\n        -KEY_ANGLE,\n        ", NONE, NONE),
     "another kind": ("kinds/reach.py", r"0\.015", "0.15", {"myo/reach", "myo/reach-hard"}, NONE),
     "a bottle": ("kinds/spray_1.py", r"0\.036, 0\.036", "0.037, 0.037", {"opdex/spray-1"}, NONE),
