@@ -80,7 +80,7 @@ def flops(step: Callable[[], None]) -> int:
 def training_step(settings: Section, guided: bool) -> Callable[[], None]:
     """A function that executes one optimiser step of stage (b), as `distil` does, at the size of the default study."""
     imitation, training, by_critic = ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
-    data = Data.of(_windows(), imitation, settings.chunk, settings.history)
+    data = Data.of(_windows(), imitation, settings.chunk, settings.history, recurrent=settings.recurrent)
     if "codebook" in settings.needs:
         codes = torch.randint(settings.codes, (len(data.windows.task), settings.groups))
         data = data.with_targets({"codes": codes})

@@ -31,10 +31,11 @@ STUDENTS = {
     },
     "act": {"kind": "act", "chunk": 4, "history": 3, "latent": 4, "width": 32, "heads": 2},
     "bc": {"kind": "bc", "width": 64},
+    "bc_rnn": {"kind": "bc_rnn", "sequence": 4, "width": 64, "modes": 3},
     "chunk": {"kind": "chunk", "chunk": 4, "history": 3, "width": 32, "heads": 2},
 }
 """Tiny students, one of each kind."""
-TRAINING = {"bc": {"learning_rate": 1e-2}}
+TRAINING = {"bc": {"learning_rate": 1e-2}, "bc_rnn": {"learning_rate": 1e-2}}
 """Kinds that need other settings than the rest to learn the small dataset in a few steps."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 

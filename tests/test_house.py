@@ -133,6 +133,7 @@ class ToySettings(Section):
     """No hyperparameters."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    recurrent: ClassVar[bool] = False
     chunk: ClassVar[int] = 1
     history: ClassVar[int] = 1
 

@@ -24,11 +24,14 @@ class Observation:
     """The inputs of a student. They exclude the privileged state."""
 
     vision: Tensor
-    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images for a student with a CNN."""
+    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images for a student with a CNN.
+
+    For a recurrent kind (B, k, F) or (B, k, H, W, 3), oldest first.
+    """
     goal: Tensor | None
-    """Goal image o_T, in the form of `vision`. None for a student without goal images."""
+    """Goal image o_T: (B, F) or (B, H, W, 3). None for a student without goal images."""
     proprio: Tensor
-    """(B, h, P), oldest first. The last row belongs to the current step."""
+    """(B, h, P), oldest first. The last row belongs to the current step. For a recurrent kind (B, k, P)."""
     task: Tensor
     """(B,) long, index in the study's list of tasks."""
 
@@ -71,6 +74,8 @@ class Data:
     """Actions in a window."""
     h: int
     """Proprioceptive states in a window."""
+    recurrent: bool = False
+    """Whether a window has an observation for each of its k actions. Past the episode's end the last one repeats."""
     targets: dict[str, Tensor] = field(default_factory=dict)
     """Name -> (N, ...), see Batch."""
 
@@ -85,6 +90,7 @@ class Data:
         states: bool,
         device: torch.device,
         onpolicy_labels: str = "expert",
+        recurrent: bool = False,
     ) -> "Data":
         """Reads the inputs `rollouts` and `onpolicy`, with their features, or their images if there are no features.
 
@@ -102,11 +108,19 @@ class Data:
         ]
         demonstrations, per_step, per_episode = zip(*episodes)
         windows = Windows.join(demonstrations, per_step, per_episode, device)
-        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated=windows.episode_task < tasks)
+        demonstrated = windows.episode_task < tasks
+        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated, recurrent=recurrent)
 
     @classmethod
     def of(
-        cls, windows: Windows, imitation: ImitationConfig, chunk: int, history: int, demonstrated: Tensor | None = None
+        cls,
+        windows: Windows,
+        imitation: ImitationConfig,
+        chunk: int,
+        history: int,
+        demonstrated: Tensor | None = None,
+        *,
+        recurrent: bool = False,
     ) -> "Data":
         """Data over `windows`. Without `demonstrated` (K,) bool all episodes are demonstrations."""
         if demonstrated is None:
@@ -122,6 +136,7 @@ class Data:
             goal_image=imitation.goal_image,
             k=chunk,
             h=history,
+            recurrent=recurrent,
         )
 
     def with_targets(self, targets: dict[str, Tensor]) -> "Data":
@@ -142,8 +157,11 @@ class Data:
         windows = self.windows
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
-        proprio = windows.history_of("proprio", t, self.h - 1)
-        observation = Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task)
+        if self.recurrent:
+            vision, proprio = (windows.chunk_of(name, t, self.k)[0] for name in ("vision", "proprio"))
+        else:
+            vision, proprio = windows.steps["vision"][t], windows.history_of("proprio", t, self.h - 1)
+        observation = Observation(vision, self._goal(t, task, generator), proprio, task)
         targets = {name: value[t] for name, value in self.targets.items()}
         return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 

@@ -23,7 +23,7 @@ from acgd.students.student import Student
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
-"""Windows."""
+"""Observations."""
 PLAN_ERROR = "validation_plan_error"
 """Score that selects the best weights: error of the student's plan per action component.
 
@@ -48,6 +48,7 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         states=guidance is not None,
         device=ctx.device,
         onpolicy_labels="expert" if request.rounds is None else request.rounds.labels,
+        recurrent=settings.recurrent,
     )
     student = start(request, data, inputs, ctx.device)
     data = data.with_targets(student.prepare(data, inputs))
@@ -123,7 +124,8 @@ def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[st
     student.eval()
     generators: Generators = {"data": torch.Generator(data.windows.task.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}
-    for t in data.windows.validation.split(VALIDATION_BATCH):
+    observations = data.k if data.recurrent else 1
+    for t in data.windows.validation.split(max(1, VALIDATION_BATCH // observations)):
         batch = data.batch(t, generators["data"])
         plan = student.plan(batch.observation)
         error = l1_error(plan, batch, student.imitation.action_space)

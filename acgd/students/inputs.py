@@ -16,7 +16,7 @@ class Normalised(NamedTuple):
     """Inputs of the networks."""
 
     vision: Tensor
-    """(B, F)."""
+    """(B, F). For a recurrent kind (B, k, F)."""
     goal: Tensor | None
     """(B, F); None for a student without a goal image."""
     proprio: Tensor
@@ -51,7 +51,9 @@ class StudentInputs(nn.Module):
             return x if noise == 0 else x + noise * torch.randn(x.shape, generator=generator, device=x.device)
 
         def features(vision: Tensor) -> Tensor:
-            return perturbed(self.features(vision)) if self.cnn is None else self.cnn(vision)
+            if self.cnn is None:
+                return perturbed(self.features(vision))
+            return self.cnn(vision.flatten(0, -4)).unflatten(0, vision.shape[:-3])
 
         if self.goal_image and observation.goal is None:
             raise ValueError(

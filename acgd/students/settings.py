@@ -13,7 +13,9 @@ from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
 
 StudentConfig = one_of(STUDENTS, default="acgd")
-"""Settings of one kind. needs: optional stages that the kind reads. chunk, history: actions and states in a window."""
+"""Settings of one kind. needs: optional stages that the kind reads. chunk, history: actions and states in a window.
+recurrent: whether a window has an observation for each of its actions.
+"""
 
 
 class ImitationConfig(Section):

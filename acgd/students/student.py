@@ -41,8 +41,9 @@ class Imitation:
 class Student(Protocol):
     """An nn.Module of one kind.
 
-    The settings have `chunk` k and `history` h, the lengths of a window, and `needs`, the optional stages that the kind
-    reads. The state dict holds everything that is learned.
+    The settings have `chunk` k and `history` h, the lengths of a window; `recurrent`, whether a window has an
+    observation for each of its actions; and `needs`, the optional stages that the kind reads. The state dict holds
+    everything that is learned.
     """
 
     settings: Section

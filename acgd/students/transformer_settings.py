@@ -1,6 +1,6 @@
 """Settings of the students that plan a chunk with a transformer: acgd, act and chunk."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
@@ -11,6 +11,8 @@ Positive = Annotated[int, Field(ge=1)]
 
 class TransformerSettings(Section):
     """Lengths of a window, and sizes of the transformers."""
+
+    recurrent: ClassVar[bool] = False
 
     chunk: Positive = Field(8, description="Actions in a chunk, k.")
     history: Positive = Field(
