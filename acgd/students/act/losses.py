@@ -6,7 +6,7 @@ from torch import Tensor
 
 def kl(mean: Tensor, log_variance: Tensor) -> Tensor:
     """KL(N(mean, variance) | N(0, 1)) in nats, summed over the components of z: (B, L), (B, L) -> (B,)."""
-    return 0.5 * (mean.square() + log_variance.exp() - log_variance - 1).sum(-1)
+    return 0.5 * (mean.square() + log_variance.expm1() - log_variance).sum(-1)
 
 
 def sample(mean: Tensor, log_variance: Tensor, generator: torch.Generator) -> Tensor:
