@@ -2,7 +2,6 @@
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Mean, Mixture, Padded, Policy
 from acgd.simulate.record import Episode, Episodes
-from acgd.simulate.roll import Step, roll
+from acgd.simulate.roll import Goals, Step, roll
 from acgd.simulate.seeds import round_seeds
 from acgd.store.stage import Context, Inputs
 from acgd.students.load import load_policy
@@ -26,8 +25,8 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
     """Run the mixture of one round and task on its seeds, and keep every episode, solved or not.
 
     In each step the expert's mean acts with probability beta ** round, else the student. Writes rollouts.zarr with the
-    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. Goal images are those that an
-    evaluation with `goal: training` takes: ends of demonstrations, chosen by the seed. Finished waves survive a kill.
+    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. Goals are those of an evaluation:
+    commanded for a student of `imitation.goal: vector`, else ends of demonstrations, chosen by the seed. Finished waves survive a kill.
     """
     rounds = request.rounds
     expert = Expert.load(inputs["expert"])
@@ -44,8 +43,12 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
         lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)
         chance = rounds.beta**request.round
+
+        def goals(batch: list[int]) -> Goals:
+            return Lockstep.goal_vectors if student.goal == "vector" else training_goals(inputs["rollouts"], batch)
+
         return lambda batch: run_wave(
-            expert, student, lock, batch, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
+            expert, student, lock, batch, task, goals(batch), chance, labels=rounds.labels == "expert"
         )
 
     episodes: list[StoredEpisode] = []
@@ -65,7 +68,7 @@ def run_wave(
     lock: Lockstep,
     seeds: list[int],
     task: int,
-    demonstrations: Path,
+    goals: Goals,
     chance: float,
     *,
     labels: bool,
@@ -84,7 +87,6 @@ def run_wave(
         return recorded
 
     recorder = Episodes(beside)
-    goals = training_goals(demonstrations, seeds)
     roll(lock, Mixture(means, student, chance), seeds, task=task, goals=goals, recorders=[recorder])
     return recorder.episodes()
 

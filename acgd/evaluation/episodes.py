@@ -17,7 +17,7 @@ from safetensors.numpy import save_file
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Policy
 from acgd.simulate.record import Outcomes
-from acgd.simulate.roll import roll
+from acgd.simulate.roll import Goals, roll
 from acgd.simulate.seeds import SEEDS
 from acgd.store.atomic import replace_file
 from acgd.store.progress import Bar
@@ -33,7 +33,7 @@ class Label:
     """none for a student; else which control acts: replay, replay-nearest, expert or expert-nominal."""
     task: str
     goal: str
-    """training, oracle, or none where the policy is given no goal image."""
+    """training, oracle, commanded, or none where the policy is given no goal."""
     image_features: str
     """own, shuffled, or none where the policy sees no image."""
     start: str
@@ -69,7 +69,7 @@ def run_batch(
     policy: Policy,
     label: Label,
     task: int = 0,
-    goals: np.ndarray | None = None,
+    goals: Goals = None,
 ) -> tuple[list[Episode], np.ndarray]:
     """The episodes of one batch, and the actions (T, m, A) float32 that were chosen."""
     outcomes = Outcomes()
@@ -96,19 +96,18 @@ def run(
     bar: Bar,
     *,
     task: int = 0,
-    goals: np.ndarray | None = None,
+    goals: Goals = None,
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
     """All seeds, batch by batch; batches that `state` holds from before a kill are not run again.
 
-    task: the task's id, as the policy counts. goals: (E, H, W, 3) uint8 goal images of the seeds, or None. Returns the
-    episodes in the order of the seeds, and each seed's actions (steps, A).
+    task: the task's id, as the policy counts. goals: (E, ...) of the seeds, or how to read them. Returns the episodes in the order of the seeds, and each seed's actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)
     for at in range(0, len(seeds), size):
         file = state / f"{name}-{at:04d}.safetensors"
         if not file.exists():
-            shown = None if goals is None else goals[at : at + size]
+            shown = goals[at : at + size] if isinstance(goals, np.ndarray) else goals
             _keep(file, *run_batch(lock, seeds[at : at + size], policy, label, task, shown))
         ended, chosen = _kept(file)
         episodes += ended

@@ -14,11 +14,12 @@ Split = Literal["evaluation", "validation"]
 class Condition(Section):
     """One way of running the episodes. Each condition of a student is an artifact of its own."""
 
-    goal: Literal["training", "oracle", "none"] = Field(
+    goal: Literal["training", "oracle", "commanded", "none"] = Field(
         "training",
-        description="Goal image o_T. training: the last frame of a demonstration of the task, chosen by the episode's "
-        "seed; misleading where the goal varies. oracle: the last frame of the expert's own run from the same seed, "
-        "solved or not. none: no goal image; a student trained without one gets none in any case.",
+        description="training: the last frame of a demonstration of the task, chosen by the episode's seed; misleading "
+        "where the goal varies. oracle: the last frame of the expert's own run from the same seed, solved or not. "
+        "commanded: what the environment asks for, in numbers. none: no goal. A student of imitation.goal: vector gets "
+        "commanded, one of imitation.goal: off gets none, whatever stands here.",
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",

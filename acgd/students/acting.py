@@ -8,7 +8,6 @@ import torch
 
 from acgd.students.data import Observation
 from acgd.students.ensembling import ensemble
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig
 from acgd.students.student import Student
 
@@ -23,7 +22,8 @@ class Memory:
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F) goal features, or (n, H, W, 3) uint8 goal images where the student owns its CNN."""
+    """(n, F) features of goal images, or (n, H, W, 3) uint8 images where the student owns its CNN; or commanded goals
+    (n, G)."""
     proprio: np.ndarray
     """(n, h, P) float32, oldest first; before the first step that step's repeats."""
     chunks: np.ndarray
@@ -33,32 +33,32 @@ class Memory:
 
 
 class ChunkPolicy:
-    """A student that plans chunks, acting on `image` and `proprio`. It takes no state, and reads none."""
+    """A student that plans chunks, acting on `vision` and `proprio`. It takes no state, and reads none."""
 
-    def __init__(self, student: Student, perception: Perception, acting: ActingConfig) -> None:
-        self.student, self.perception, self.acting = student.eval(), perception, acting
+    def __init__(self, student: Student, acting: ActingConfig) -> None:
+        self.student, self.acting = student.eval(), acting
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """tasks (n,); goal images (n, H, W, 3) uint8, or None for a student trained without.
+        """tasks (n,); goals as in an Observation, or None for a student trained without.
 
         `seeds` are for policies that sample; this one takes the likeliest chunk.
         """
         settings, sizes, n = self.student.settings, self.student.sizes, len(tasks)
         return Memory(
             task=np.asarray(tasks, np.int64),
-            goal=self.perception.see_goals(goals),
+            goal=goals,
             proprio=np.zeros((n, settings.history, sizes.proprio), np.float32),
             chunks=np.zeros((n, settings.chunk, settings.chunk, sizes.actions), np.float32),
             steps=np.zeros(n, np.int64),
         )
 
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
-        """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
+        """obs: vision (n, ...) as in an Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
         memory = replace(memory, proprio=_remember(obs["proprio"], memory))
         k, age = self.student.settings.chunk, memory.steps % self.student.settings.chunk
         rows = np.arange(len(age))
         if self.acting.mode != "open-loop" or (age == 0).any():
-            plan = self._plan(obs["image"], memory)
+            plan = self._plan(obs["vision"], memory)
             if self.acting.mode == "open-loop":
                 plan = np.where((age == 0)[:, None, None], plan, memory.chunks[:, 0])
                 chunks = np.concatenate([plan[:, None], memory.chunks[:, 1:]], axis=1)
@@ -77,10 +77,18 @@ class ChunkPolicy:
         return actions, replace(memory, steps=memory.steps + 1)
 
     @torch.inference_mode()
-    def _plan(self, images: np.ndarray, memory: Memory) -> np.ndarray:
+    def _plan(self, vision: np.ndarray, memory: Memory) -> np.ndarray:
         """-> (n, k, A)."""
-        goal, proprio, task = (self.perception.tensor(x) for x in (memory.goal, memory.proprio, memory.task))
-        return self.student.plan(Observation(self.perception.see(images), goal, proprio, task)).cpu().numpy()
+        device = next(self.student.parameters()).device
+        return self.student.plan(observation(vision, memory.goal, memory.proprio, memory.task, device)).cpu().numpy()
+
+
+def observation(
+    vision: np.ndarray, goal: np.ndarray | None, proprio: np.ndarray, task: np.ndarray, device: torch.device
+) -> Observation:
+    """The arrays as tensors on a device."""
+    given = (vision, goal, proprio, task)
+    return Observation(*(None if x is None else torch.as_tensor(x, device=device) for x in given))
 
 
 def _remember(proprio: np.ndarray, memory: Memory) -> np.ndarray:

@@ -24,9 +24,10 @@ class Observation:
     """All that a student may read. The privileged state is no part of it."""
 
     vision: Tensor
-    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images where the student owns its CNN."""
+    """(B, frames F) features of a frozen backbone, oldest frame first, or (B, H, W, 3) uint8 images where the student
+    owns its CNN."""
     goal: Tensor | None
-    """The same for the goal image o_T."""
+    """Of the goal image o_T (B, F) or (B, H, W, 3); or the commanded goal (B, G), zero-padded to the widest task's."""
     proprio: Tensor
     """(B, h, P), oldest first; the last row is the current one."""
     task: Tensor
@@ -63,7 +64,7 @@ class Data:
     """Training episodes of each task whose last image may be a goal: demonstrations, which all succeeded."""
     demonstrated: Tensor
     """(K,) bool: episodes that are demonstrations, not on-policy episodes."""
-    goal_image: str
+    imitation: ImitationConfig
     k: int
     h: int
     targets: dict[str, Tensor] = field(default_factory=dict)
@@ -89,10 +90,10 @@ class Data:
         label, labelled = ("mean_action", 1.0) if onpolicy_labels == "expert" else ("action", 0.0)
         tasks = len(inputs["rollouts"])
         episodes = [
-            _read(rollouts, features, LABELS[imitation.label], weight=1.0, states=states)
+            _read(rollouts, features, LABELS[imitation.label], imitation, weight=1.0, states=states)
             for rollouts, features in _pairs(inputs, "rollouts", "features")
         ] + [
-            _read(rollouts, features, label, weight=labelled, states=states)
+            _read(rollouts, features, label, imitation, weight=labelled, states=states)
             for rollouts, features in _pairs(inputs, "onpolicy", "onpolicy_features")
         ]
         demonstrations, per_step, per_episode = zip(*episodes)
@@ -114,7 +115,7 @@ class Data:
             by_task=by_task,
             goals=[of_task[demonstrated[of_task]] for of_task in episodes],
             demonstrated=demonstrated,
-            goal_image=imitation.goal_image,
+            imitation=imitation,
             k=chunk,
             h=history,
         )
@@ -138,7 +139,7 @@ class Data:
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
         proprio = windows.history_of("proprio", t, self.h - 1)
-        observation = Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task)
+        observation = Observation(self._vision(t), self._goal(t, task, generator), proprio, task)
         targets = {name: value[t] for name, value in self.targets.items()}
         return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 
@@ -147,18 +148,31 @@ class Data:
         states, _ = self.windows.chunk_of("state", batch.t[:n], self.k)
         return Reference(states, batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
 
+    def _vision(self, t: Tensor) -> Tensor:
+        """Features (..., frames F) of the frames at t (...) and before, oldest first; images where frames is 1."""
+        vision, frames = self.windows.steps["vision"], self.imitation.frames
+        if frames == 1:
+            return vision[t]
+        return vision[self.windows.earlier(t, frames, self.imitation.frame_stride)].flatten(-2)
+
     def _goal(self, t: Tensor, task: Tensor, generator: torch.Generator) -> Tensor | None:
-        """Any training goal of the task, or the episode's own. On-policy episodes may have failed: they have none."""
-        if self.goal_image == "off":
+        """Any training goal image of the task, or the episode's own; or what was commanded.
+
+        On-policy episodes may have failed: they have no goal image.
+        """
+        goal = self.imitation.goal
+        if goal == "off":
             return None
         episode = self.windows.episode[t]
+        if goal == "vector":
+            return self.windows.episodes["goal"][episode]
         own = self.demonstrated[episode]
-        if self.goal_image == "any" or not own.all():
+        if goal == "any" or not own.all():
             share = torch.rand(len(t), generator=generator, device=t.device)
             counts = torch.tensor([len(goals) for goals in self.goals], device=t.device)
             offsets = counts.cumsum(0) - counts
             drawn = torch.cat(self.goals)[offsets[task] + (share * counts[task]).long()]
-            episode = drawn if self.goal_image == "any" else torch.where(own, episode, drawn)
+            episode = drawn if goal == "any" else torch.where(own, episode, drawn)
         return self.windows.episodes["goal"][episode]
 
 
@@ -169,10 +183,16 @@ def _pairs(inputs: Inputs, rollouts: str, features: str) -> list[tuple[Path, Pat
 
 
 def _read(
-    rollouts: Path, features: Path | None, label: str, *, weight: float, states: bool
+    rollouts: Path,
+    features: Path | None,
+    label: str,
+    imitation: ImitationConfig,
+    *,
+    weight: float,
+    states: bool,
 ) -> tuple[Demonstrations, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]:
     """One artifact: its episodes, and the arrays of its steps and of its episodes that Data joins."""
-    names = ["proprio", label, *(["state"] if states else [])]
+    names = ["proprio", label, *(["state"] if states else []), *(["goal"] if imitation.goal == "vector" else [])]
     episodes = Demonstrations.load(rollouts, names + (["image", "final_image"] if features is None else []))
     seen = (
         episodes.arrays if features is None else read_group(Path(features) / "features.zarr", ["image", "final_image"])
@@ -185,7 +205,8 @@ def _read(
     }
     if states:
         steps["state"] = episodes.arrays["state"]
-    return episodes, steps, {"goal": seen["final_image"]}
+    goal = episodes.arrays["goal"] if imitation.goal == "vector" else seen["final_image"]
+    return episodes, steps, {"goal": goal}
 
 
 def _by_task(windows: Windows, tasks: int) -> Windows:

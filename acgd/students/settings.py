@@ -25,10 +25,17 @@ class ImitationConfig(Section):
     action_space: Literal["raw", "excitation"] = Field(
         "raw", description="compare actions as they are, or as the muscle excitation that MyoSuite makes of them"
     )
-    goal_image: Literal["own", "any", "off"] = Field(
+    goal: Literal["own", "any", "vector", "off"] = Field(
         "any",
-        description="goal image o_T in training: that of any training episode of the task, as in an evaluation whose "
-        "goals are training successes; the episode's own (the paper), for oracle goals; or none",
+        description="Goal in training. own: the episode's last image (the paper), for oracle goals. any: the last image "
+        "of any training episode of the task, as in an evaluation whose goals are training successes. vector: what the "
+        "environment was asked for, in numbers (docs/tasks.md). off: none.",
+    )
+    frames: int = Field(
+        1, ge=1, description="Frames whose features the student reads: the current one and earlier ones, oldest first."
+    )
+    frame_stride: int = Field(
+        1, ge=1, description="Steps between two of these frames. Before an episode's start its first frame repeats."
     )
 
 

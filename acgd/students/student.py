@@ -10,7 +10,6 @@ from acgd.simulate.policy import Policy
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
 from acgd.students.data import Batch, Data, Observation
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 
 
@@ -19,11 +18,14 @@ class Sizes:
     """What the data dictate."""
 
     features: int
+    """F, of one frame."""
     proprio: int
     actions: int
     tasks: int
     owns_cnn: bool
     """The student reads images through a CNN of its own, `features` wide, and no features of a frozen backbone."""
+    goal: int = 0
+    """G, numbers in a commanded goal. 0 for students that are given none."""
 
 
 @dataclass(frozen=True)
@@ -71,5 +73,5 @@ class Student(Protocol):
     def plan(self, observation: Observation) -> Tensor:
         """The likeliest chunk (B, k, A) in the box, without a gradient."""
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> Policy:
-        """It acts on `image` and `proprio`."""
+    def policy(self, acting: ActingConfig) -> Policy:
+        """It acts on `vision`, the goals and `proprio`, as in an Observation: see acgd.students.perception."""

@@ -21,6 +21,9 @@ class MyoKind:
     perturb: Callable[[Any, np.random.Generator, bool], None]
     """(base, rng, goal): moves the object, and, where `goal` is true, the goal. Draws every number in any case, so that
     a seed means the same start for all."""
+    goal: Callable[[Any, mujoco.MjData], np.ndarray] | None = None
+    """(base, data) -> what the environment is asked for, (G,), constant within an episode. None: the same in every
+    episode. G stands in spec.GOAL_SIZES."""
     nominal_goal: Callable[[Any], np.ndarray] | None = None
     """base -> the goal of MyoSuite's own reset, which `perturb` finds in `base.nominal_goal`. For tasks whose goal the
     suite does not draw."""

@@ -129,6 +129,11 @@ class MyoDexTask(gymnasium.Env):
         """Whether the simulation has left physics behind: a pen thrown for kilometres would be a reward of -46,000."""
         return self.base._check_mj_instability_termination() or np.abs(self.data.qpos).max() > FAR
 
+    def goal_vector(self) -> np.ndarray:
+        """The commanded goal (G,) float32: what the task asks for, not where the object is. Empty where it is fixed."""
+        goal = self.kind.goal(self.base, self.data) if self.kind.goal else ()
+        return np.array(goal, np.float32)
+
     def snapshot(self) -> Snapshot:
         """The current state; `restore` continues from it bit for bit."""
         integration = np.empty(self._state_size)

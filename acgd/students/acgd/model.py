@@ -25,7 +25,6 @@ from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.acting import ChunkPolicy
 from acgd.students.data import Batch, Data, Observation
 from acgd.students.inputs import StudentInputs
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -81,16 +80,17 @@ class StateEncoder(nn.Module):
 class TaskEncoder(nn.Module):
     """phi_task: features of o_t and, unless it is switched off, of o_T, and the task t_i -> z_task (Section III-C)."""
 
-    def __init__(self, settings: ACGDConfig, sizes: Sizes, *, goal_image: bool) -> None:
+    def __init__(self, settings: ACGDConfig, sizes: Sizes, seen: int) -> None:
+        """`seen`: width of vision and goal together."""
         super().__init__()
         hidden = settings.expansion * settings.width
         self.task = nn.Embedding(sizes.tasks, settings.width)
-        self.features = nn.Linear(sizes.features * (2 if goal_image else 1), hidden)
+        self.features = nn.Linear(seen, hidden)
         self.task_to_hidden = nn.Linear(settings.width, hidden, bias=False)
         self.net = nn.Sequential(nn.LayerNorm(hidden), nn.ReLU(), nn.Linear(hidden, settings.width))
 
     def forward(self, vision: Tensor, goal: Tensor | None, task: Tensor) -> Tensor:
-        """vision, goal (B, F), normalised; task (B,) -> z_task (B, d)."""
+        """vision (B, frames F), goal (B, F) or (B, G), normalised; task (B,) -> z_task (B, d)."""
         features = vision if goal is None else torch.cat([vision, goal], dim=-1)
         return self.net(self.features(features) + self.task_to_hidden(self.task(task)))
 
@@ -100,10 +100,9 @@ class Observer(nn.Module):
 
     def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
+        self.inputs = StudentInputs(imitation, sizes)
         self.state_encoder = StateEncoder(settings, sizes)
-        self.task_encoder = TaskEncoder(settings, sizes, goal_image=goal_image)
+        self.task_encoder = TaskEncoder(settings, sizes, self.inputs.width)
 
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
@@ -274,6 +273,6 @@ class ACGD(nn.Module):
         onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+    def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """Acts by its chunks."""
-        return ChunkPolicy(self, perception, acting)
+        return ChunkPolicy(self, acting)

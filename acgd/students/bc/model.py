@@ -12,10 +12,10 @@ from acgd.nn.excitation import to_loss_space
 from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
+from acgd.students.acting import observation
 from acgd.students.bc.settings import BCConfig
 from acgd.students.data import Batch, Data, Observation
 from acgd.students.inputs import StudentInputs
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -26,9 +26,8 @@ class BC(nn.Module):
     def __init__(self, settings: BCConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
-        read = sizes.features * (2 if goal_image else 1) + sizes.proprio + sizes.tasks
+        self.inputs = StudentInputs(imitation, sizes)
+        read = self.inputs.width + sizes.proprio + sizes.tasks
         self.net = nn.Sequential(
             nn.Linear(read, settings.width),
             nn.ReLU(),
@@ -72,9 +71,9 @@ class BC(nn.Module):
         """(B, 1, A)."""
         return self(observation)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> "BCPolicy":
+    def policy(self, acting: ActingConfig) -> "BCPolicy":
         """Acts step by step. `acting` is for chunks, and there are none."""
-        return BCPolicy(self, perception)
+        return BCPolicy(self)
 
 
 class Given(NamedTuple):
@@ -83,23 +82,23 @@ class Given(NamedTuple):
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F), or (n, H, W, 3) uint8 where the student owns its CNN."""
+    """(n, ...), as in an Observation."""
 
 
 class BCPolicy:
     """One action a step, from the current observation alone."""
 
-    def __init__(self, student: BC, perception: Perception) -> None:
-        self.student, self.perception = student.eval(), perception
+    def __init__(self, student: BC) -> None:
+        self.student = student.eval()
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Given:
-        """tasks (n,), goal images (n, H, W, 3) uint8 or None. It draws nothing, and so ignores the seeds."""
-        return Given(np.asarray(tasks, np.int64), self.perception.see_goals(goals))
+        """tasks (n,), goals as in an Observation or None. It draws nothing, and so ignores the seeds."""
+        return Given(np.asarray(tasks, np.int64), goals)
 
     @torch.inference_mode()
     def act(self, obs: Mapping[str, np.ndarray], memory: Given) -> tuple[np.ndarray, Given]:
-        """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box."""
-        tensor = self.perception.tensor
+        """obs: vision (n, ...) as in an Observation, proprio (n, P) -> actions (n, A) float32 in the box."""
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
-        seen = Observation(self.perception.see(obs["image"]), tensor(memory.goal), tensor(proprio), tensor(memory.task))
+        device = next(self.student.parameters()).device
+        seen = observation(obs["vision"], memory.goal, proprio, memory.task, device)
         return self.student.plan(seen)[:, 0].cpu().numpy(), memory
