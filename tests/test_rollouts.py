@@ -228,7 +228,7 @@ def on_policy(folder: Path, expert: Path, demos: Path, episodes: int = 3, **roun
     inputs = {"expert": expert, "student": Path("none"), "backbone": Path("none"), "rollouts": demos}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(onpolicy, "LOCKSTEP", 2)
-        patch.setattr(onpolicy, "load_policy", lambda *arguments: student)
+        patch.setattr(onpolicy, "load_policy", lambda *arguments, **options: student)
         onpolicy.collect(request, inputs, context(folder))
     return folder / "out", student
 
