@@ -1,4 +1,4 @@
-"""What an evaluation's time goes into, step by step, in one thread: `python -m benchmarks.evaluation`."""
+"""Cost of the parts of an evaluation step, in one thread: `python -m benchmarks.evaluation`."""
 
 import statistics
 import time
@@ -22,7 +22,7 @@ from benchmarks.row import Row
 
 TASK = TaskConfig(name="myo/key-turn")
 STEPS = 60
-"""Of an episode; the median one counts."""
+"""Steps of an episode. The median step counts."""
 
 
 def run() -> list[Row]:
@@ -50,7 +50,7 @@ def run() -> list[Row]:
 
 
 class Still:
-    """Holds still, and computes what `policy` would do: an untrained student would drop the object and end episodes."""
+    """Holds still, and evaluates `policy` without its actions. An untrained student would end episodes early."""
 
     def __init__(self, actions: int, policy: Policy | None = None) -> None:
         self.actions, self.policy = actions, policy
@@ -65,7 +65,7 @@ class Still:
 
 
 class Clock(Recorder):
-    """Seconds per environment step: from one step's end to the next one's."""
+    """Records seconds per environment step, from the end of one step to the end of the next."""
 
     def start(self, lock: Lockstep, seeds: list[int]) -> None:
         self.times: list[float] = []

@@ -1,4 +1,4 @@
-"""The cost of a step of student training in one thread, beside matrix products: `python -m benchmarks.student`."""
+"""Cost of a training step of a student in one thread, against matrix products: `python -m benchmarks.student`."""
 
 import statistics
 import time
@@ -30,10 +30,9 @@ MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """An unguided step and a guided one (two dueling critics of 128 units) of the default sizes.
+    """Rows of an unguided step, of a matrix product, and of a guided step (two dueling critics of 128 units per task).
 
-    They take turns with a matrix product. Times are of the processor, so that neighbours disturb them less; the
-    median step counts.
+    The three calls take turns. Times are processor times, which other processes disturb less. The median counts.
     """
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -67,7 +66,7 @@ def run() -> list[Row]:
 
 
 def training_step(guided: bool) -> Callable[[], None]:
-    """One optimiser step of stage (b), as `distil` takes it, on data of the default study's size."""
+    """A function that executes one optimiser step of stage (b), as `distil` does, at the size of the default study."""
     settings, imitation, training, by_critic = ACGDConfig(), ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
     data = Data.of(_windows(), imitation, settings.chunk, settings.history)
     codes = torch.randint(settings.codes, (len(data.windows.task), settings.groups))
@@ -103,19 +102,19 @@ def training_step(guided: bool) -> Callable[[], None]:
 
 
 def in_turn(*calls: Callable[[], object]) -> list[float]:
-    """Median processor seconds of each call. Calls take turns, so that what slows the machine slows all of them."""
-    taken: list[list[float]] = [[] for _ in calls]
+    """Median processor seconds of each call. The calls take turns, so that other processes slow all of them."""
+    seconds: list[list[float]] = [[] for _ in calls]
     for repeat in range(WARMUP + STEPS):
-        for times, call in zip(taken, calls):
+        for times, call in zip(seconds, calls):
             start = time.process_time()
             call()
             if repeat >= WARMUP:
                 times.append(time.process_time() - start)
-    return [statistics.median(times) for times in taken]
+    return [statistics.median(times) for times in seconds]
 
 
 def _windows() -> Windows:
-    """Random demonstrations of the default study's size."""
+    """Random demonstrations of the size of the default study."""
     steps, episodes = TASKS * EPISODES * LENGTH, TASKS * EPISODES
     index = torch.arange(steps)
     return Windows(

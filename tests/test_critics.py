@@ -255,11 +255,11 @@ def test_differences_in_units_of_the_actions_distance():
 def test_noise_on_states_is_one_draw_for_all_actions_of_a_branched_state():
     data = concatenate([linear_problem(60), replace(linear_problem(12), branch=np.repeat(np.arange(4), 3))])
     fit = FittedQ(data, TINY.model_copy(update={"state_noise": 0.5, "batch": 2000}), 0.9, CPU)
-    moved = fit._blurred(torch.ones(2000 + 2 * 3, 1)) - 1  # TINY has three actions a state
+    moved = fit._with_state_noise(torch.ones(2000 + 2 * 3, 1)) - 1  # TINY has three actions a state
     assert float(moved[:2000].std()) == pytest.approx(0.5, rel=0.1)
     first, second = moved[2000:2003, 0].tolist(), moved[2003:, 0].tolist()
     assert len(set(first)) == len(set(second)) == 1 and first[0] != second[0]
-    assert torch.equal(FittedQ(data, TINY, 0.9, CPU)._blurred(torch.ones(6, 1)), torch.ones(6, 1))
+    assert torch.equal(FittedQ(data, TINY, 0.9, CPU)._with_state_noise(torch.ones(6, 1)), torch.ones(6, 1))
 
 
 def test_groups_of_unequal_size_are_refused():
@@ -409,7 +409,7 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
             PerturbationConfig(clean=1, gaussian=0, bursts=0),
             SEEDS.critic_quality,
             limit=6,
-            beyond=60,
+            extra_steps=60,
             episodes=2,
             visit_rate=1.0,
             bar=bar,

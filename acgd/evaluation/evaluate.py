@@ -61,7 +61,7 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def goals_of(request: EvaluationRequest, inputs: Inputs, place: int, start: TaskConfig, seeds: list[int]) -> Goals:
-    """Of a task's seeds: images (E, H, W, 3) uint8, or what the episodes ask for. place: the task's in the request."""
+    """Of a task's seeds: images (E, H, W, 3) uint8, or the commanded goals. place: the task's in the request."""
     if request.condition.goal == "training":
         return training_goals(inputs["rollouts"][place], seeds)
     if request.condition.goal == "oracle":
