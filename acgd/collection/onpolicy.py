@@ -26,7 +26,8 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
 
     In each step the expert's mean acts with probability beta ** round, else the student. Writes rollouts.zarr with the
     arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. Goals are those of an evaluation:
-    commanded for a student of `imitation.goal: vector`, else ends of demonstrations, chosen by the seed. Finished waves survive a kill.
+    commanded for a student of `imitation.goal: vector`, else ends of demonstrations, chosen by the seed. Finished waves
+    survive a kill.
     """
     rounds = request.rounds
     expert = Expert.load(inputs["expert"])

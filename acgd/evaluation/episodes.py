@@ -100,7 +100,8 @@ def run(
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
     """All seeds, batch by batch; batches that `state` holds from before a kill are not run again.
 
-    task: the task's id, as the policy counts. goals: (E, ...) of the seeds, or how to read them. Returns the episodes in the order of the seeds, and each seed's actions (steps, A).
+    task: the task's id, as the policy counts. goals: (E, ...) of the seeds, or how to read them. Returns the
+    episodes in the order of the seeds, and each seed's actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)

@@ -18,8 +18,8 @@ class Condition(Section):
         "training",
         description="training: the last frame of a demonstration of the task, chosen by the episode's seed; misleading "
         "where the goal varies. oracle: the last frame of the expert's own run from the same seed, solved or not. "
-        "commanded: the environment's commanded goal as a vector. none: no goal. A student of imitation.goal: vector gets "
-        "commanded, one of imitation.goal: off gets none, whatever stands here.",
+        "commanded: the environment's commanded goal as a vector. none: no goal. A student of imitation.goal: vector "
+        "always gets commanded, one of imitation.goal: off always none.",
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",

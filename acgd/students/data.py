@@ -156,7 +156,7 @@ class Data:
         return vision[self.windows.earlier(t, frames, self.imitation.frame_stride)].flatten(-2)
 
     def _goal(self, t: Tensor, task: Tensor, generator: torch.Generator) -> Tensor | None:
-        """Any training goal image of the task, or the episode's own; or what was commanded.
+        """Any training goal image of the task, or the episode's own; or the commanded goal.
 
         On-policy episodes may have failed: they have no goal image.
         """

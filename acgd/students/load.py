@@ -31,7 +31,7 @@ def sizes_of(data: Data, inputs: Inputs) -> Sizes:
     steps, owns_cnn, imitation = data.windows.steps, "features" not in inputs, data.imitation
     if owns_cnn and imitation.frames > 1:
         raise ValueError(
-            f"imitation.frames is {imitation.frames} and the student trains its own CNN (backbone.kind: scratch), which "
+            f"imitation.frames is {imitation.frames}, but a student that trains its own CNN (backbone.kind: scratch) "
             "reads one image: set imitation.frames to 1, or take another backbone"
         )
     return Sizes(

@@ -27,8 +27,8 @@ class ImitationConfig(Section):
     )
     goal: Literal["own", "any", "vector", "off"] = Field(
         "any",
-        description="Goal in training. own: the episode's last image (the paper), for oracle goals. any: the last image "
-        "of any training episode of the task, as in an evaluation whose goals are training successes. vector: the "
+        description="Goal in training. own: the episode's last image (the paper), for oracle goals. any: the last "
+        "image of any training episode of the task, as in an evaluation whose goals are training successes. vector: the "
         "environment's commanded goal (docs/tasks.md). off: none.",
     )
     frames: int = Field(
