@@ -32,6 +32,8 @@ STUDENTS = {
     "bc": {"kind": "bc", "width": 64},
 }
 """Tiny students, one of each kind."""
+TRAINING = {"bc": {"learning_rate": 1e-2}}
+"""Kinds that need other settings than the rest to learn the small dataset in a few steps."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 
 

@@ -70,8 +70,8 @@ class FQESettings(Section):
     steps: PositiveInt = Field(
         6000, description="Simulator steps of rollouts, to the end of the last episode. Branches add to them."
     )
-    perturbation: PerturbationConfig = PerturbationConfig()
-    branches: BranchConfig = BranchConfig()
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Noise on the expert's actions.")
+    branches: BranchConfig = Field(BranchConfig(), description="Several actions tried in one state.")
     horizon: PositiveInt = Field(
         64,
         description="Most rewards summed before bootstrapping, while actions follow the expert's mean. 1 is "
@@ -153,7 +153,7 @@ class ExpertCriticSettings(Section):
 
     kind: Literal["expert"] = "expert"
     steps: PositiveInt = Field(6000, description="Simulator steps of these rollouts, to the end of the last episode.")
-    perturbation: PerturbationConfig = PerturbationConfig()
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Noise on the expert's actions.")
     spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of perturbations and of the actions whose Q is compared.")
 

@@ -1,4 +1,4 @@
-"""From chunks to one action per step, for a batch of environments in lockstep."""
+"""A policy that turns chunks into one action per step (Section III-A), for environments in lockstep."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,34 +14,33 @@ from acgd.students.student import Student
 
 @dataclass(frozen=True)
 class Memory:
-    """What a policy carries from step to step, a row per environment.
+    """State of the policy between steps, one row per environment.
 
-    Rows never mix: environments may end at different times.
+    Rows are independent, since environments may end at different times.
     """
 
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F) features of goal images, or (n, H, W, 3) uint8 images where the student owns its CNN; or commanded goals
-    (n, G)."""
+    """(n, ...) in the form of Observation. None: no goal."""
     proprio: np.ndarray
-    """(n, h, P) float32, oldest first; before the first step that step's repeats."""
+    """(n, h, P) float32, oldest first. The first step's proprioception fills the steps before it."""
     chunks: np.ndarray
-    """(n, k, k, A) float32: [:, i] is the chunk planned i steps ago."""
+    """(n, k, k, A) float32: [:, i] is the chunk planned i steps ago. With open-loop only [:, 0] is used."""
     steps: np.ndarray
     """(n,) int64, actions taken so far."""
 
 
 class ChunkPolicy:
-    """A student that plans chunks, acting on `vision` and `proprio`. It takes no state, and reads none."""
+    """Policy of a student that plans chunks. It reads `vision` and `proprio`, and no privileged state."""
 
     def __init__(self, student: Student, acting: ActingConfig) -> None:
         self.student, self.acting = student.eval(), acting
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """tasks (n,); goals as in an Observation, or None for a student trained without.
+        """The memory before the first step. tasks (n,); goals in the form of Observation.
 
-        `seeds` are for policies that sample; this one takes the likeliest chunk.
+        The policy ignores `seeds`, since it takes the likeliest chunk.
         """
         settings, sizes, n = self.student.settings, self.student.sizes, len(tasks)
         return Memory(
@@ -53,8 +52,8 @@ class ChunkPolicy:
         )
 
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
-        """obs: vision (n, ...) as in an Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
-        memory = replace(memory, proprio=_remember(obs["proprio"], memory))
+        """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
+        memory = replace(memory, proprio=_append(obs["proprio"], memory))
         k, age = self.student.settings.chunk, memory.steps % self.student.settings.chunk
         rows = np.arange(len(age))
         if self.acting.mode != "open-loop" or (age == 0).any():
@@ -78,21 +77,21 @@ class ChunkPolicy:
 
     @torch.inference_mode()
     def _plan(self, vision: np.ndarray, memory: Memory) -> np.ndarray:
-        """-> (n, k, A)."""
+        """The student's chunks (n, k, A)."""
         device = next(self.student.parameters()).device
-        return self.student.plan(observation(vision, memory.goal, memory.proprio, memory.task, device)).cpu().numpy()
+        return self.student.plan(to_observation(vision, memory.goal, memory.proprio, memory.task, device)).cpu().numpy()
 
 
-def observation(
+def to_observation(
     vision: np.ndarray, goal: np.ndarray | None, proprio: np.ndarray, task: np.ndarray, device: torch.device
 ) -> Observation:
-    """The arrays as tensors on a device."""
-    given = (vision, goal, proprio, task)
-    return Observation(*(None if x is None else torch.as_tensor(x, device=device) for x in given))
+    """The arrays as tensors on `device`."""
+    arrays = (vision, goal, proprio, task)
+    return Observation(*(None if array is None else torch.as_tensor(array, device=device) for array in arrays))
 
 
-def _remember(proprio: np.ndarray, memory: Memory) -> np.ndarray:
-    """The history with the newest proprioception (n, P) last; on a row's first step it fills the whole history."""
+def _append(proprio: np.ndarray, memory: Memory) -> np.ndarray:
+    """Appends proprioception (n, P) to the history (n, h, P). On a row's first step it fills the whole history."""
     newest = np.asarray(proprio, np.float32)[:, None]
-    moved = np.concatenate([memory.proprio[:, 1:], newest], axis=1)
-    return np.where((memory.steps == 0)[:, None, None], newest, moved)
+    appended = np.concatenate([memory.proprio[:, 1:], newest], axis=1)
+    return np.where((memory.steps == 0)[:, None, None], newest, appended)

@@ -1,4 +1,4 @@
-"""The normalised inputs of every kind of student. Nothing here can hold the privileged state."""
+"""The normalised inputs of every kind of student. They have no place for the privileged state."""
 
 from typing import NamedTuple
 
@@ -14,18 +14,18 @@ from acgd.vision.cnn import SmallCNN
 
 
 class Normalised(NamedTuple):
-    """What the networks read. The widths are those of StudentInputs."""
+    """Inputs of the networks. The widths are those of StudentInputs."""
 
     vision: Tensor
     """(B, vision_width)."""
     goal: Tensor | None
-    """(B, goal_width), None for a student without a goal."""
+    """(B, goal_width); None for a student without a goal."""
     proprio: Tensor
     """(B, h, P)."""
 
 
 class StudentInputs(nn.Module):
-    """Observation -> normalised features of o_t and earlier frames, of the goal, and proprioception."""
+    """Observation -> normalised features of o_t and earlier frames, normalised goal and proprioception."""
 
     def __init__(self, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
@@ -37,10 +37,10 @@ class StudentInputs(nn.Module):
         self.vision_width = imitation.frames * sizes.features
         self.goal_width = {"vector": sizes.goal, "off": 0}.get(imitation.goal, sizes.features)
         self.width = self.vision_width + self.goal_width
-        """Of vision and goal together."""
+        """Width of vision and goal together."""
 
     def fit(self, windows: Windows) -> None:
-        """Normalise by the statistics of the training steps."""
+        """Fits the normalisers to the training steps, that of commanded goals to the training episodes."""
         self.proprio.fit(windows.steps["proprio"][windows.training])
         if self.cnn is None:
             self.features.fit(windows.steps["vision"][windows.training])
@@ -51,12 +51,15 @@ class StudentInputs(nn.Module):
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
     ) -> Normalised:
-        """`noise` is the standard deviation of Gaussian noise on the normalised inputs, for training."""
+        """noise: standard deviation of Gaussian noise on the normalised inputs, for training.
+
+        Raises ValueError where the student uses goals and the observation has none.
+        """
 
         def perturbed(x: Tensor) -> Tensor:
             return x if noise == 0 else x + noise * torch.randn(x.shape, generator=generator, device=x.device)
 
-        def seen(vision: Tensor, frames: int) -> Tensor:
+        def features(vision: Tensor, frames: int) -> Tensor:
             if self.cnn is not None:
                 return self.cnn(vision)
             return perturbed(self.features(vision.unflatten(-1, (frames, -1))).flatten(-2))
@@ -65,20 +68,21 @@ class StudentInputs(nn.Module):
         if self.uses_goal:
             if observation.goal is None:
                 raise ValueError(
-                    "this student was trained with a goal: give goals, or train one with imitation.goal: off"
+                    "the observation has no goal, and this student was trained with one. Give goals, or train a student "
+                    "with imitation.goal: off."
                 )
             if self.commanded is None:
-                goal = seen(observation.goal, 1)
+                goal = features(observation.goal, 1)
             else:
                 goal = perturbed(self.commanded(observation.goal, observation.task))
         proprio = perturbed(self.proprio(observation.proprio))
-        return Normalised(seen(observation.vision, self.frames), goal, proprio)
+        return Normalised(features(observation.vision, self.frames), goal, proprio)
 
 
 class GoalNormaliser(nn.Module):
-    """(goal - mean) / std with the statistics of its own task's training episodes, clipped.
+    """(goal - mean) / std with the statistics of the task's training episodes, clipped.
 
-    Goals of different tasks differ far more than those of one, and have other units.
+    Goals differ far more between tasks than within one, and have other units.
     """
 
     mean: Tensor
@@ -90,11 +94,11 @@ class GoalNormaliser(nn.Module):
         self.register_buffer("std", torch.ones(tasks, size))
 
     def fit(self, goals: Tensor, task: Tensor) -> None:
-        """goals (K, size), task (K,). A number that does not vary, as in the padding, keeps a spread of 1."""
+        """goals (K, size), task (K,). The standard deviation of a constant component, such as padding, is set to 1."""
         for i in range(len(self.mean)):
-            of_task = goals[task == i]
-            std = of_task.std(0, correction=0)
-            self.mean[i], self.std[i] = of_task.mean(0), torch.where(std > 1e-5, std, 1.0)
+            task_goals = goals[task == i]
+            std = task_goals.std(0, correction=0)
+            self.mean[i], self.std[i] = task_goals.mean(0), torch.where(std > 1e-5, std, 1.0)
 
     def forward(self, goal: Tensor, task: Tensor) -> Tensor:
         """goal (B, size), task (B,) -> (B, size)."""

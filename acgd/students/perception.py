@@ -1,4 +1,4 @@
-"""How a student that acts sees: images become the features of its frozen backbone, of earlier frames too."""
+"""Vision of an acting student: features of its frozen backbone, or images for a student with a CNN."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +13,8 @@ from acgd.students.student import Sizes
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The memory of a policy that sees, a row per environment."""
+class Memory:
+    """State of Perception between steps, one row per environment."""
 
     inner: Any
     frames: np.ndarray | None = None
@@ -22,7 +22,7 @@ class Seen:
 
 
 class Perception:
-    """A student's policy, given `vision` and goals as they are in its training windows (Observation)."""
+    """Wraps the policy of a student: converts images and goals to the form of its training data (Observation)."""
 
     def __init__(
         self,
@@ -32,17 +32,20 @@ class Perception:
         sizes: Sizes,
         device: torch.device,
     ) -> None:
-        """`backbone`: frozen, (B, H, W, 3) uint8 -> (B, F); None for a student that owns its CNN."""
+        """backbone: frozen, (B, H, W, 3) uint8 -> (B, F); None for a student with a CNN."""
         self.policy, self.backbone, self.device = policy, backbone, device
         self.imitation, self.sizes = imitation, sizes
 
-    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Seen:
-        """goals: images (n, H, W, 3) uint8 or commanded goals (n, G of the task), as the student was trained."""
-        return Seen(self.policy.start(tasks, self._goals(goals), seeds))
+    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
+        """goals: images (n, H, W, 3) uint8, or commanded goals (n, G of the task) for `imitation.goal: vector`.
 
-    def act(self, observations: Observations, memory: Seen) -> tuple[np.ndarray, Seen]:
-        """observations: image (n, H, W, 3) uint8, proprio (n, P)."""
-        newest, frames = self._see(observations["image"]), self.imitation.frames
+        Raises ValueError where the goals that the student needs are missing or of the other form.
+        """
+        return Memory(self.policy.start(tasks, self._goals(goals), seeds))
+
+    def act(self, observations: Observations, memory: Memory) -> tuple[np.ndarray, Memory]:
+        """observations: image (n, H, W, 3) uint8, proprio (n, P). The wrapped policy gets `vision` in place of image."""
+        newest, frames = self._vision(observations["image"]), self.imitation.frames
         vision, kept = newest, None
         if frames > 1:
             stride = self.imitation.frame_stride
@@ -51,12 +54,12 @@ class Perception:
             else:
                 kept = np.concatenate([memory.frames[:, 1:], newest[:, None]], axis=1)
             vision = kept[:, ::stride].reshape(len(newest), -1)
-        seen = {name: value for name, value in observations.items() if name != "image"} | {"vision": vision}
-        actions, inner = self.policy.act(seen, memory.inner)
-        return actions, Seen(inner, kept)
+        entries = {name: value for name, value in observations.items() if name != "image"} | {"vision": vision}
+        actions, inner = self.policy.act(entries, memory.inner)
+        return actions, Memory(inner, kept)
 
     @torch.inference_mode()
-    def _see(self, images: np.ndarray) -> np.ndarray:
+    def _vision(self, images: np.ndarray) -> np.ndarray:
         """Features (n, F), or the images."""
         if self.backbone is None:
             return images
@@ -67,15 +70,13 @@ class Perception:
         kind = self.imitation.goal
         if kind == "off":
             return None
-        if goals is None:
-            wanted = "commanded goals" if kind == "vector" else "goal images"
+        form = "commanded goals (n, G)" if kind == "vector" else "goal images (n, H, W, 3)"
+        if goals is None or (kind == "vector") != (goals.ndim == 2):
+            state = "there are none" if goals is None else f"these have shape {goals.shape}"
             raise ValueError(
-                f"this student was trained with goals: give {wanted}, or train one with imitation.goal: off"
-            )
-        if (kind == "vector") != (goals.ndim == 2):
-            raise ValueError(
-                f"this student was trained with imitation.goal: {kind}, and is given goals of shape {goals.shape}"
+                f"this student was trained with imitation.goal: {kind}, and {state}. Give {form}, or train a student "
+                "with imitation.goal: off."
             )
         if kind != "vector":
-            return self._see(goals)
+            return self._vision(goals)
         return np.pad(np.asarray(goals, np.float32), ((0, 0), (0, self.sizes.goal - goals.shape[1])))

@@ -1,7 +1,7 @@
-"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec; of these, codebook (a) and student (b).
+"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec. They form codebook (a) and student (b).
 
-B windows; k actions of A components in a chunk; G groups of n_c codes; d the width of every embedding. The quantizer C
-and its z_q are in quantizer.py, the losses in losses.py.
+Sizes: B windows; k actions of A components in a chunk; G groups of n_c codes; d, the width of every embedding. The
+quantizer C and z_q are in quantizer.py, the losses in losses.py.
 """
 
 import json
@@ -34,10 +34,10 @@ ENCODED_AT_ONCE = 1024
 
 
 class ActionEncoder(nn.Module):
-    """phi_act, a transformer over the action chunk: a_{t:t+k} -> z_e."""
+    """phi_act, a transformer over the action chunk: a_{t:t+k} -> z_e (Section III-A)."""
 
     def __init__(self, settings: ACGDConfig, sizes: Sizes, encoding_size: int) -> None:
-        """`encoding_size`: values of z_e per group, logits or coordinates."""
+        """encoding_size: number of values of z_e per group."""
         super().__init__()
         s = settings
         self.embed = nn.Linear(sizes.actions, s.width)
@@ -59,7 +59,7 @@ class ActionEncoder(nn.Module):
 class StateEncoder(nn.Module):
     """phi_state, an MLP over the robot's recent proprioception: s_{t-h:t} -> z_state (Section III-C).
 
-    It reads the robot's own history, never the privileged state, although the paper writes both as s.
+    The input is proprioception, not the privileged state. The paper writes s for both.
     """
 
     def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
@@ -78,14 +78,14 @@ class StateEncoder(nn.Module):
 
 
 class TaskEncoder(nn.Module):
-    """phi_task: features of o_t and, unless it is switched off, of o_T, and the task t_i -> z_task (Section III-C)."""
+    """phi_task: features of o_t, those of o_T if the goal image is used, and the task t_i -> z_task (Section III-C)."""
 
-    def __init__(self, settings: ACGDConfig, sizes: Sizes, seen: int) -> None:
-        """`seen`: width of vision and goal together."""
+    def __init__(self, settings: ACGDConfig, sizes: Sizes, input_size: int) -> None:
+        """input_size: width of vision and goal together."""
         super().__init__()
         hidden = settings.expansion * settings.width
         self.task = nn.Embedding(sizes.tasks, settings.width)
-        self.features = nn.Linear(seen, hidden)
+        self.features = nn.Linear(input_size, hidden)
         self.task_to_hidden = nn.Linear(settings.width, hidden, bias=False)
         self.net = nn.Sequential(nn.LayerNorm(hidden), nn.ReLU(), nn.Linear(hidden, settings.width))
 
@@ -107,13 +107,13 @@ class Observer(nn.Module):
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
     ) -> tuple[Tensor, Tensor]:
-        """-> z_state, z_task, each (B, d)."""
+        """z_state, z_task, each (B, d). noise: standard deviation on the normalised inputs."""
         vision, goal, proprio = self.inputs(observation, noise, generator)
         return self.state_encoder(proprio), self.task_encoder(vision, goal, observation.task)
 
 
 class LatentEncoder(nn.Module):
-    """phi_lat: the codes that the observation calls for (Figure 2b)."""
+    """phi_lat, an MLP: z_state, z_task -> logits of the codes (Figure 2b)."""
 
     def __init__(self, settings: ACGDConfig) -> None:
         super().__init__()
@@ -134,9 +134,9 @@ class LatentEncoder(nn.Module):
 
 
 class ActionDecoder(nn.Module):
-    """psi_dec, k learned queries that attend to [z_q, z_state, z_task]: -> a_hat_{t:t+k}, strictly inside the box.
+    """psi_dec, a transformer: k learned queries attend to [z_q, z_state, z_task] -> a_hat_{t:t+k} in (-1, 1)^A.
 
-    The tanh keeps actions in (-1, 1), so that nothing downstream clamps them and no gradient of Q is lost to a clamp.
+    The tanh keeps actions inside the box. No later step has to clamp them, which would stop the gradient of Q.
     """
 
     def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
@@ -158,7 +158,7 @@ class ActionDecoder(nn.Module):
 
 
 class Codebook(nn.Module):
-    """Stage (a): a_{t:t+k} -> codes -> a_hat_{t:t+k}, given z_state and z_task."""
+    """Stage (a) of Figure 2: a_{t:t+k} -> codes -> a_hat_{t:t+k}, given z_state and z_task."""
 
     def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
@@ -179,13 +179,13 @@ class Codebook(nn.Module):
 
     @torch.no_grad()
     def codes_of(self, windows: Windows) -> Tensor:
-        """phi_act's likeliest codes of the window at every step, (N, G)."""
+        """The likeliest codes of phi_act for the window at every step -> (N, G)."""
         every = torch.arange(len(windows.task), device=windows.task.device)
         chunks = (windows.chunk_of("label", t, self.settings.chunk) for t in every.split(ENCODED_AT_ONCE))
         return torch.cat([quantizer.most_likely(self.encode(*chunk))[1] for chunk in chunks])
 
     def save(self, directory: Path) -> None:
-        """Weights as safetensors, settings and sizes as JSON."""
+        """Writes the weights as safetensors, settings and sizes as JSON."""
         save_file({name: value.contiguous() for name, value in self.state_dict().items()}, directory / WEIGHTS)
         meta = {
             "student": in_key(self.settings),
@@ -196,7 +196,7 @@ class Codebook(nn.Module):
 
     @classmethod
     def load(cls, directory: Path, device: torch.device) -> Self:
-        """A codebook as it was saved, in eval mode."""
+        """Loads a saved codebook in evaluation mode."""
         meta = json.loads((Path(directory) / META).read_text())
         codebook = cls(ACGDConfig(**meta["student"]), ImitationConfig(**meta["imitation"]), Sizes(**meta["sizes"]))
         codebook.load_state_dict(load_file(Path(directory) / WEIGHTS))
@@ -204,9 +204,10 @@ class Codebook(nn.Module):
 
 
 class ACGD(nn.Module):
-    """pi_theta, stage (b): observation -> codes -> action chunk.
+    """pi_theta, stage (b) of Figure 2: observation -> codes -> action chunk.
 
-    It keeps the codes of the codebook, and goes on training its observer and decoder; phi_act's codes are the targets.
+    The codes of the codebook stay fixed. Its observer and decoder are trained further. phi_act's codes are the targets
+    of phi_lat.
     """
 
     def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
@@ -218,19 +219,20 @@ class ACGD(nn.Module):
         self.decoder = ActionDecoder(settings, sizes)
 
     def initialise(self, data: Data, inputs: Inputs) -> None:
-        """Observer, codes and decoder as the codebook left them; phi_lat stays fresh."""
+        """Loads observer, codes and decoder from the codebook. phi_lat keeps its random weights."""
         codebook = Codebook.load(inputs["codebook"], self.quantizer.codes.device)
         for part in ("observer", "quantizer", "decoder"):
             getattr(self, part).load_state_dict(getattr(codebook, part).state_dict())
 
     def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
-        """phi_act's code of every window."""
+        """The target `codes` (N, G): phi_act's codes of every window."""
         return {"codes": Codebook.load(inputs["codebook"], self.quantizer.codes.device).codes_of(data.windows)}
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """L_BC = L_lat + L_act. L_act decodes phi_act's code, the proposal phi_lat's straight-through sample.
+        """L_BC = L_lat + L_act (Section III-C).
 
-        Both pass the decoder as one batch.
+        L_act decodes phi_act's code. The proposal decodes a straight-through sample of phi_lat. Both pass the decoder
+        in one batch.
         """
         codes = batch.targets["codes"]
         z_state, z_task = self.observer(batch.observation, noise, generators["data"])
@@ -247,7 +249,7 @@ class ACGD(nn.Module):
         return Imitation(l_lat + l_act, proposal, {"l_lat": l_lat, "l_act": l_act})
 
     def validate(self, batch: Batch) -> dict[str, Tensor]:
-        """L_BC and its parts, and how often phi_lat's likeliest code is phi_act's."""
+        """L_BC, its parts, and the share of groups in which phi_lat's likeliest code equals phi_act's; each (B,)."""
         codes = batch.targets["codes"]
         z_state, z_task = self.observer(batch.observation)
         logits = self.latent_encoder(z_state, z_task)
@@ -274,5 +276,5 @@ class ACGD(nn.Module):
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
     def policy(self, acting: ActingConfig) -> ChunkPolicy:
-        """Acts by its chunks."""
+        """A policy that acts from the student's chunks."""
         return ChunkPolicy(self, acting)

@@ -12,7 +12,7 @@ from acgd.nn.excitation import to_loss_space
 from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
-from acgd.students.acting import observation
+from acgd.students.acting import to_observation
 from acgd.students.bc.settings import BCConfig
 from acgd.students.data import Batch, Data, Observation
 from acgd.students.inputs import StudentInputs
@@ -21,15 +21,15 @@ from acgd.students.student import Imitation, Sizes
 
 
 class BC(nn.Module):
-    """Observation -> a chunk of one action, strictly inside the box."""
+    """An MLP: observation -> a chunk of one action in (-1, 1)^A."""
 
     def __init__(self, settings: BCConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
         self.inputs = StudentInputs(imitation, sizes)
-        read = self.inputs.width + sizes.proprio + sizes.tasks
+        input_size = self.inputs.width + sizes.proprio + sizes.tasks
         self.net = nn.Sequential(
-            nn.Linear(read, settings.width),
+            nn.Linear(input_size, settings.width),
             nn.ReLU(),
             nn.Linear(settings.width, settings.width),
             nn.ReLU(),
@@ -37,68 +37,68 @@ class BC(nn.Module):
         )
 
     def initialise(self, data: Data, inputs: Inputs) -> None:
-        """Normalises its inputs by the demonstrations."""
+        """Fits the normalisers of the inputs to the demonstrations."""
         self.inputs.fit(data.windows)
 
     def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
-        """The labels are the only targets."""
+        """Returns no further targets: the labels are the only ones."""
         return {}
 
     def forward(self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None) -> Tensor:
-        """-> (B, 1, A)."""
+        """Action (B, 1, A). noise: standard deviation on the normalised inputs."""
         vision, goal, proprio = self.inputs(observation, noise, generator)
         task = F.one_hot(observation.task, self.sizes.tasks).float()
-        read = [vision, *([] if goal is None else [goal]), proprio[:, -1], task]
-        return self.net(torch.cat(read, dim=-1)).float().tanh()[:, None]
+        inputs = [vision, *([] if goal is None else [goal]), proprio[:, -1], task]
+        return self.net(torch.cat(inputs, dim=-1)).float().tanh()[:, None]
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """The proposal is the imitating action itself."""
+        """L_BC is the L1 error of the action. The proposal is the same action."""
         action = self(batch.observation, noise, generators["data"])
         error = self.error(action, batch)
         return Imitation(error, action[:guided] if guided else None, {"l_act": error})
 
     def validate(self, batch: Batch) -> dict[str, Tensor]:
-        """L_BC."""
+        """L_BC (B,)."""
         return {"validation_loss": self.error(self(batch.observation), batch)}
 
     def error(self, action: Tensor, batch: Batch) -> Tensor:
-        """1-norm of the error of each window, (B, 1, A) -> (B,)."""
+        """1-norm of the error of each window: action (B, 1, A) -> (B,)."""
         space = self.imitation.action_space
         return l1(to_loss_space(action, space), to_loss_space(batch.chunk, space), batch.mask)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
-        """(B, 1, A)."""
+        """The action (B, 1, A)."""
         return self(observation)
 
     def policy(self, acting: ActingConfig) -> "BCPolicy":
-        """Acts step by step. `acting` is for chunks, and there are none."""
+        """A policy that acts step by step. It ignores `acting`, which is for chunks."""
         return BCPolicy(self)
 
 
-class Given(NamedTuple):
-    """What does not change within an episode, a row per environment."""
+class Memory(NamedTuple):
+    """Task and goal of each environment. They are constant within an episode."""
 
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, ...), as in an Observation."""
+    """(n, ...) in the form of Observation. None: no goal."""
 
 
 class BCPolicy:
-    """One action a step, from the current observation alone."""
+    """Policy of BC: one action per step, from the current observation only."""
 
     def __init__(self, student: BC) -> None:
         self.student = student.eval()
 
-    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Given:
-        """tasks (n,), goals as in an Observation or None. It draws nothing, and so ignores the seeds."""
-        return Given(np.asarray(tasks, np.int64), goals)
+    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
+        """tasks (n,), goals in the form of Observation or None. The policy ignores `seeds`: it is deterministic."""
+        return Memory(np.asarray(tasks, np.int64), goals)
 
     @torch.inference_mode()
-    def act(self, obs: Mapping[str, np.ndarray], memory: Given) -> tuple[np.ndarray, Given]:
-        """obs: vision (n, ...) as in an Observation, proprio (n, P) -> actions (n, A) float32 in the box."""
+    def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
+        """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box."""
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
         device = next(self.student.parameters()).device
-        seen = observation(obs["vision"], memory.goal, proprio, memory.task, device)
-        return self.student.plan(seen)[:, 0].cpu().numpy(), memory
+        observation = to_observation(obs["vision"], memory.goal, proprio, memory.task, device)
+        return self.student.plan(observation)[:, 0].cpu().numpy(), memory
