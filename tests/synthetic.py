@@ -63,6 +63,7 @@ def rollouts(
         "state": rng.normal(size=(len(t), state)).astype(np.float32),
         "mean_action": mean,
         "action": np.clip(mean + 0.1 * rng.normal(size=mean.shape), -1, 1).astype(np.float32),
+        "goal": rng.normal(size=(episodes, 2 + task)).astype(np.float32),
         "episode_ends": ends.astype(np.int64),
         "seed": np.arange(episodes, dtype=np.int64),
     }

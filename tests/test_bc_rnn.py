@@ -18,18 +18,10 @@ from acgd.students.bc_rnn.mixture import Mixture, MixtureHead
 from acgd.students.bc_rnn.model import BCRNN
 from acgd.students.data import Data, Observation
 from acgd.students.distil import start
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 
 CPU = torch.device("cpu")
 STATES = (9, 12)
-
-
-class FirstPixels(torch.nn.Module):
-    """A backbone whose features are the first pixels of an image."""
-
-    def forward(self, images: Tensor) -> Tensor:
-        return images.float().flatten(1)[:, : synthetic.F]
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -66,13 +58,12 @@ def window(data: Data, t: int, steps: int, goal: Tensor) -> Observation:
 
 def acted(student: BCRNN, observations: list[Observation]) -> np.ndarray:
     """What the policy does, a row for each of the windows, (n, L, A)."""
-    perception = Perception(FirstPixels(), uses_goal=True, device=CPU)
-    policy = student.policy(perception, ActingConfig())
+    policy = student.policy(ActingConfig())
     tasks, goals = (np.concatenate([getattr(o, name).numpy() for o in observations]) for name in ("task", "goal"))
     memory, taken = policy.start(tasks, goals, [0] * len(tasks)), []
     for step in range(observations[0].proprio.shape[1]):
         obs = {
-            "image": np.concatenate([o.vision[:, step].numpy() for o in observations]),
+            "vision": np.concatenate([o.vision[:, step].numpy() for o in observations]),
             "proprio": np.concatenate([o.proprio[:, step].numpy() for o in observations]),
         }
         actions, memory = policy.act(obs, memory)
@@ -219,13 +210,13 @@ def test_rows_never_mix(data):
 def test_rows_at_different_steps_reset_on_their_own(data):
     """A row that starts while another is at its third step: each is reset after its own four steps."""
     student = student_of(data)
-    policy = student.policy(Perception(FirstPixels(), uses_goal=True, device=CPU), ActingConfig())
+    policy = student.policy(ActingConfig())
     seen = window(data, int(data.windows.start[0]), 10, data.windows.episodes["goal"][:1])
     alone = acted(student, [seen, seen])[0]
     memory = policy.start(np.zeros(2, np.int64), seen.goal.numpy().repeat(2, 0), [0, 1])
 
     def act(memory, at: tuple[int, int]):
-        rows = {"image": seen.vision, "proprio": seen.proprio}
+        rows = {"vision": seen.vision, "proprio": seen.proprio}
         return policy.act({name: value[0, list(at)].numpy() for name, value in rows.items()}, memory)
 
     for step in range(3):

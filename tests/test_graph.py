@@ -193,12 +193,13 @@ def test_ways_of_acting_do_not_tell_students_of_one_action_apart(kind):
     assert difference(planned(single), planned(merge(single, {"acting": {"eta": 1.0}})))[0] == {"report"}
 
 
-def test_goal_conditions_are_one_for_students_without_goals():
-    blind = {"imitation": {"goal_image": "off"}}
+@pytest.mark.parametrize(("goal", "shown"), [("off", "none"), ("vector", "commanded")])
+def test_goal_conditions_are_one_for_students_without_goal_images(goal, shown):
+    blind = {"imitation": {"goal": goal}}
     both = {**blind, "conditions": [{"goal": "training"}, {"goal": "oracle"}]}
     one = {**blind, "conditions": [{"goal": "training"}]}
     assert set(planned(both).artifacts) - set(planned(one).artifacts) == {planned(both).report.place}
-    assert planned(both).names["acgd/seed-0/evaluation"][0].request.condition.goal == "none"
+    assert planned(both).names["acgd/seed-0/evaluation"][0].request.condition.goal == shown
 
 
 @pytest.mark.parametrize(

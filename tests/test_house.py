@@ -175,7 +175,7 @@ def toy(settings, imitation, sizes):
         def plan(self, observation):
             return self(observation.task)
 
-        def policy(self, perception, acting):
+        def policy(self, acting):
             return ToyPolicy(self)
 
     return Toy()

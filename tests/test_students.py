@@ -38,7 +38,6 @@ from acgd.students.ensembling import ensemble
 from acgd.students.inputs import StudentInputs
 from acgd.students.kinds import STUDENTS
 from acgd.students.load import load_policy, load_student, new_student, policy_of, save_student
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig, StudentRequest
 from acgd.students.student import Sizes, Student
 from acgd.students.training import learning_rate, log_every
@@ -278,7 +277,7 @@ def test_batches_are_balanced_and_hold_training_episodes_and_goals_of_the_own_ta
 
 def test_goal_image_own_and_off(inputs):
     for setting in ("own", "off"):
-        data = loaded_data(inputs, goal_image=setting)
+        data = loaded_data(inputs, goal=setting)
         t = data.sample(8, generator())
         goal = data.batch(t, generator()).observation.goal
         if setting == "off":
@@ -435,15 +434,18 @@ def test_the_policy_passes_on_neither_state_nor_anything_else(kind, inputs):
     read = []
 
     class Spy:
+        def start(self, tasks, goals, seeds):
+            return None
+
         def act(self, obs, memory):
             read.append(set(obs))
             return np.zeros((2, synthetic.A)), memory
 
-    student.policy = lambda perception, acting: Spy()
+    student.policy = lambda acting: Spy()
     policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
     obs = {"image": np.zeros((2, 4, 4, 3), np.uint8), "proprio": np.zeros((2, synthetic.P)), "state": np.zeros((2, 9))}
-    policy.act(obs, None)
-    assert read == [{"image", "proprio"}]
+    policy.act(obs, policy.start(np.zeros(2, np.int64), np.zeros((2, 4, 4, 3), np.uint8), [0, 1]))
+    assert read == [{"vision", "proprio"}]
 
 
 @every_student
@@ -652,7 +654,7 @@ def test_the_codes_stay_those_of_the_codebook(inputs, tmp_path):
     [
         ({"logits": "distance"}, {}, {}),
         ({}, {"action_space": "excitation"}, {}),
-        ({}, {"goal_image": "off"}, {}),
+        ({}, {"goal": "off"}, {}),
         ({}, {}, {"precision": "bfloat16"}),
     ],
 )
@@ -662,7 +664,7 @@ def test_options_train_save_and_load(student, imitation, training, inputs, tmp_p
     guidance = {"kind": "critic", "guided_steps": "first"}
     request = synthetic.student_request("acgd", guidance, training, imitation, **student)
     out = distilled(request, inputs, tmp_path / "student")
-    goal = None if request.imitation.goal_image == "off" else torch.zeros(3, synthetic.F)
+    goal = None if request.imitation.goal == "off" else torch.zeros(3, synthetic.F)
     seen = Observation(torch.zeros(3, synthetic.F), goal, torch.zeros(3, 3, synthetic.P), torch.tensor([0, 1, 0]))
     chunk = load_student(out, "best", CPU).plan(seen)
     assert chunk.shape == (3, 4, synthetic.A) and chunk.abs().max() < 1 and torch.isfinite(chunk).all()
@@ -847,8 +849,8 @@ def test_on_policy_windows_are_for_training_and_goals_stay_demonstrations(inputs
     assert tasks == [0, 1, 0, 1] and len(data.by_task) == 2
     wide = windows.steps["state"][:, STATES[0] :].abs().sum(-1) > 0
     assert torch.equal(wide, windows.task == 1)
-    for goal_image in ("own", "any"):
-        data = loaded_data(inputs | {"onpolicy": onpolicy, "onpolicy_features": onpolicy}, goal_image=goal_image)
+    for setting in ("own", "any"):
+        data = loaded_data(inputs | {"onpolicy": onpolicy, "onpolicy_features": onpolicy}, goal=setting)
         goal = data.batch(torch.arange(demonstrated, len(windows.task)), generator()).observation.goal
         known = windows.episodes["goal"][torch.cat(data.goals)]
         assert all((known == row).all(-1).any() for row in goal)
@@ -982,8 +984,12 @@ class Scripted(torch.nn.Module):
     """A student whose chunk, planned at step t, says 100 t + (t + j) for each of its steps j: its origin is visible."""
 
     settings = ACGDConfig(chunk=3, history=2)
-    imitation = ImitationConfig(goal_image="off")
+    imitation = ImitationConfig(goal="off")
     sizes = Sizes(features=4, proprio=1, actions=1, tasks=2, owns_cnn=True)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(1))
 
     def plan(self, observation: Observation) -> Tensor:
         t = observation.proprio[:, -1]
@@ -991,13 +997,12 @@ class Scripted(torch.nn.Module):
 
 
 def roll(mode: str, steps: int, offsets: tuple[int, ...] = (0,)) -> np.ndarray:
-    perception = Perception(None, uses_goal=False, device=CPU)
-    policy = ChunkPolicy(Scripted(), perception, ActingConfig(mode=mode, eta=0.3))
+    policy = ChunkPolicy(Scripted(), ActingConfig(mode=mode, eta=0.3))
     memory = policy.start(np.zeros(len(offsets), int), None, [0] * len(offsets))
     taken = []
     for t in range(steps):
         proprio = np.array([[t + offset] for offset in offsets], np.float32)
-        action, memory = policy.act({"image": np.zeros((len(offsets), 2, 2, 3), np.uint8), "proprio": proprio}, memory)
+        action, memory = policy.act({"vision": np.zeros((len(offsets), 2), np.float32), "proprio": proprio}, memory)
         taken.append(action[:, 0])
     return np.array(taken)
 
@@ -1041,8 +1046,8 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
     """Replayed through the acting policy, every step of a stored episode gives the inputs of its training window."""
     rollouts = synthetic.rollouts(tmp_path / "r", 0, episodes=2, images=True)
     inputs = {"rollouts": [rollouts], "codebook": codebook_dir, "backbone": synthetic.backbone(tmp_path / "b")}
-    data = loaded_data(inputs, kind, goal_image="own")
-    request = synthetic.student_request(kind, imitation={"goal_image": "own"})
+    data = loaded_data(inputs, kind, goal="own")
+    request = synthetic.student_request(kind, imitation={"goal": "own"})
     sizes = {"features": 8, "proprio": synthetic.P, "actions": synthetic.A, "tasks": 1, "owns_cnn": True}
     torch.manual_seed(0)
     student = new_student(request.student, request.imitation, Sizes(**sizes))
@@ -1082,14 +1087,14 @@ def test_images_pass_the_backbone_when_acting(kind, inputs):
 
 @every_student
 def test_a_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind):
-    for goal_image in ("off", "any"):
-        request = synthetic.student_request(kind, imitation={"goal_image": goal_image})
+    for goal in ("off", "any"):
+        request = synthetic.student_request(kind, imitation={"goal": goal})
         sizes = Sizes(features=synthetic.F, proprio=synthetic.P, actions=synthetic.A, tasks=2, owns_cnn=False)
         student = new_student(request.student, request.imitation, sizes)
         policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
-        assert policy.tasks == list(synthetic.TASKS) and policy.uses_goal == (goal_image == "any")
-        if policy.uses_goal:
-            with pytest.raises(ValueError, match="goal_image: off"):
+        assert policy.tasks == list(synthetic.TASKS) and policy.goal == goal
+        if goal == "any":
+            with pytest.raises(ValueError, match="goal: off"):
                 policy.start(np.array([0]), None, [0])
         else:
             policy.start(np.array([0]), None, [0])

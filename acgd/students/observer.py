@@ -35,18 +35,19 @@ class StateEncoder(nn.Module):
 
 
 class TaskEncoder(nn.Module):
-    """phi_task: features of o_t, those of o_T if the goal image is used, and the task t_i -> z_task (Section III-C)."""
+    """phi_task: features of o_t and earlier frames, the goal if it is used, the task t_i -> z_task (Section III-C)."""
 
-    def __init__(self, settings: TransformerSettings, sizes: Sizes, *, goal_image: bool) -> None:
+    def __init__(self, settings: TransformerSettings, sizes: Sizes, input_size: int) -> None:
+        """input_size: width of vision and goal together."""
         super().__init__()
         hidden = settings.expansion * settings.width
         self.task = nn.Embedding(sizes.tasks, settings.width)
-        self.features = nn.Linear(sizes.features * (2 if goal_image else 1), hidden)
+        self.features = nn.Linear(input_size, hidden)
         self.task_to_hidden = nn.Linear(settings.width, hidden, bias=False)
         self.net = nn.Sequential(nn.LayerNorm(hidden), nn.ReLU(), nn.Linear(hidden, settings.width))
 
     def forward(self, vision: Tensor, goal: Tensor | None, task: Tensor) -> Tensor:
-        """vision, goal (B, F), normalised; task (B,) -> z_task (B, d)."""
+        """vision (B, frames F), goal (B, F) or (B, G), normalised; task (B,) -> z_task (B, d)."""
         features = vision if goal is None else torch.cat([vision, goal], dim=-1)
         return self.net(self.features(features) + self.task_to_hidden(self.task(task)))
 
@@ -56,10 +57,9 @@ class Observer(nn.Module):
 
     def __init__(self, settings: TransformerSettings, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
+        self.inputs = StudentInputs(imitation, sizes)
         self.state_encoder = StateEncoder(settings, sizes)
-        self.task_encoder = TaskEncoder(settings, sizes, goal_image=goal_image)
+        self.task_encoder = TaskEncoder(settings, sizes, self.inputs.width)
 
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None

@@ -224,9 +224,9 @@ class _Variant:
         return kind(**{name: fields[name] if name in fields else getattr(settings, name) for name in kind.model_fields})
 
     def _condition(self, condition: Condition) -> Condition:
-        """The condition as the student meets it: without a goal image in training it gets none."""
-        blind = self.settings.imitation.goal_image == "off"
-        return condition.model_copy(update={"goal": "none"}) if blind else condition
+        """The condition as the student meets it: its goal is of the kind of its training."""
+        goal = {"off": "none", "vector": "commanded"}.get(self.settings.imitation.goal, condition.goal)
+        return condition.model_copy(update={"goal": goal})
 
     def default_name(self, at: At) -> str:
         """Name of an artifact: its task or number of tasks, its seed and its round, as far as it has them."""

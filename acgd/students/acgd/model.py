@@ -28,7 +28,6 @@ from acgd.students.data import Batch, Data, Observation
 from acgd.students.decoder import ActionDecoder
 from acgd.students.errors import l1_error
 from acgd.students.observer import Observer
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -198,6 +197,6 @@ class ACGD(nn.Module):
         onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+    def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""
-        return ChunkPolicy(self, perception, acting)
+        return ChunkPolicy(self, acting)

@@ -18,7 +18,6 @@ from acgd.students.data import Batch, Data, Observation
 from acgd.students.decoder import ActionDecoder
 from acgd.students.errors import l1_error
 from acgd.students.inputs import Normalised, StudentInputs
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -49,15 +48,16 @@ class StyleEncoder(nn.Module):
 
 
 class ObservationTokens(nn.Module):
-    """Tokens of the features of o_t, the proprioceptive history, the task, and the features of o_T if they are used.
+    """Tokens of vision, the proprioceptive history, the task and, if it is used, the goal.
 
-    Each kind of token has its own linear layer. The biases distinguish the kinds.
+    One token holds the features of o_t and of earlier frames. Each kind of token has its own linear layer, whose bias
+    distinguishes it from the other kinds.
     """
 
-    def __init__(self, settings: ACTConfig, sizes: Sizes, *, goal_image: bool) -> None:
+    def __init__(self, settings: ACTConfig, sizes: Sizes, inputs: StudentInputs) -> None:
         super().__init__()
-        self.vision = nn.Linear(sizes.features, settings.width)
-        self.goal = nn.Linear(sizes.features, settings.width) if goal_image else None
+        self.vision = nn.Linear(inputs.vision_width, settings.width)
+        self.goal = nn.Linear(inputs.goal_width, settings.width) if inputs.uses_goal else None
         self.proprio = nn.Linear(settings.history * sizes.proprio, settings.width)
         self.task = nn.Embedding(sizes.tasks, settings.width)
 
@@ -72,11 +72,11 @@ class ACT(nn.Module):
 
     def __init__(self, settings: ACTConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
-        s, goal_image = settings, imitation.goal_image != "off"
+        s = settings
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
+        self.inputs = StudentInputs(imitation, sizes)
         self.style_encoder = StyleEncoder(s, sizes)
-        self.tokens = ObservationTokens(s, sizes, goal_image=goal_image)
+        self.tokens = ObservationTokens(s, sizes, self.inputs)
         self.latent = nn.Linear(s.latent, s.width)
         self.encoder = nn.ModuleList(Block(s.width, s.heads, s.expansion) for _ in range(s.encoder_layers))
         self.decoder = ActionDecoder(s, sizes)
@@ -141,6 +141,6 @@ class ACT(nn.Module):
         tokens = self.tokens(self.inputs(observation), observation.task)
         return self.decode(tokens.new_zeros(len(tokens), self.settings.latent), tokens)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+    def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""
-        return ChunkPolicy(self, perception, acting)
+        return ChunkPolicy(self, acting)

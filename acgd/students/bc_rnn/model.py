@@ -19,12 +19,12 @@ from torch.nn import functional as F
 from acgd.nn.losses import over_valid_steps
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
+from acgd.students.acting import to_observation
 from acgd.students.bc_rnn.mixture import Mixture, MixtureHead
 from acgd.students.bc_rnn.settings import BCRNNConfig
 from acgd.students.data import Batch, Data, Observation
 from acgd.students.errors import l1_error
 from acgd.students.inputs import StudentInputs
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -44,9 +44,8 @@ class BCRNN(nn.Module):
     def __init__(self, settings: BCRNNConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
-        read = sizes.features * (2 if goal_image else 1) + sizes.proprio + sizes.tasks
+        self.inputs = StudentInputs(imitation, sizes)
+        read = self.inputs.width + sizes.proprio + sizes.tasks
         self.lstm = nn.LSTM(read, settings.width, settings.layers, batch_first=True)
         self.head = (
             MixtureHead(settings.width, sizes.actions, settings.modes, settings.least_std)
@@ -114,9 +113,9 @@ class BCRNN(nn.Module):
         """The actions (B, L, A) at the steps of a window. The memory is zero before its first step."""
         return self(observation)[0]
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> "RecurrentPolicy":
+    def policy(self, acting: ActingConfig) -> "RecurrentPolicy":
         """A policy that acts step by step. It ignores `acting`, which is for chunks."""
-        return RecurrentPolicy(self, perception)
+        return RecurrentPolicy(self)
 
 
 class Memory(NamedTuple):
@@ -125,7 +124,7 @@ class Memory(NamedTuple):
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F), or (n, H, W, 3) uint8 where the student owns its CNN."""
+    """(n, ...) in the form of Observation. None: no goal."""
     hidden: Hidden
     """State of the LSTM of each environment."""
     steps: np.ndarray
@@ -139,26 +138,23 @@ class RecurrentPolicy:
     mean an episode depends on its seed only, and the mode does not change from step to step by chance.
     """
 
-    def __init__(self, student: BCRNN, perception: Perception) -> None:
-        self.student, self.perception = student.eval(), perception
+    def __init__(self, student: BCRNN) -> None:
+        self.student, self.device = student.eval(), next(student.parameters()).device
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """tasks (n,), goal images (n, H, W, 3) uint8 or None. The policy ignores `seeds`: it is deterministic."""
+        """tasks (n,), goals in the form of Observation or None. The policy ignores `seeds`: it is deterministic."""
         n, settings = len(tasks), self.student.settings
-        zeros = torch.zeros(n, settings.layers, settings.width, device=self.perception.device)
-        given = np.asarray(tasks, np.int64), self.perception.see_goals(goals)
-        return Memory(*given, Hidden(zeros, zeros), np.zeros(n, np.int64))
+        zeros = torch.zeros(n, settings.layers, settings.width, device=self.device)
+        return Memory(np.asarray(tasks, np.int64), goals, Hidden(zeros, zeros), np.zeros(n, np.int64))
 
     @torch.inference_mode()
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
-        """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
-        tensor, settings = self.perception.tensor, self.student.settings
+        """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
-        vision = self.perception.see(obs["image"])[:, None]
-        seen = Observation(vision, tensor(memory.goal), tensor(proprio), tensor(memory.task))
-        hidden = memory.hidden
+        observation = to_observation(obs["vision"][:, None], memory.goal, proprio, memory.task, self.device)
+        hidden, settings = memory.hidden, self.student.settings
         if settings.reset:
-            goes_on = tensor(memory.steps % settings.sequence != 0)[:, None, None]
-            hidden = Hidden(*(torch.where(goes_on, x, 0.0) for x in hidden))
-        actions, _, hidden = self.student(seen, hidden)
+            kept = torch.as_tensor(memory.steps % settings.sequence != 0, device=self.device)[:, None, None]
+            hidden = Hidden(*(torch.where(kept, x, 0.0) for x in hidden))
+        actions, _, hidden = self.student(observation, hidden)
         return actions[:, 0].cpu().numpy(), memory._replace(hidden=hidden, steps=memory.steps + 1)

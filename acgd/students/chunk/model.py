@@ -11,7 +11,6 @@ from acgd.students.data import Batch, Data, Observation
 from acgd.students.decoder import ActionDecoder
 from acgd.students.errors import l1_error
 from acgd.students.observer import Observer
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -52,6 +51,6 @@ class Chunk(nn.Module):
         """The chunk (B, k, A)."""
         return self(observation)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+    def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""
-        return ChunkPolicy(self, perception, acting)
+        return ChunkPolicy(self, acting)
