@@ -1,4 +1,4 @@
-"""The command line: `python -m acgd <verb>`. Each verb imports only what it runs."""
+"""The command line: `python -m acgd <verb>`. A verb imports only the modules that it uses."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from acgd.study.load import ConfigError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one verb; 1 where the user has something to mend."""
+    """Runs one verb. Returns the exit status: 1 after an error that the user can mend."""
     options = _parser().parse_args(arguments)
     try:
         return options.run(options) or 0
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m acgd",
-        description="ACGD: experts, critics, demonstrations, students. Stages are run by snakemake.",
+        description="ACGD: experts, critics, demonstrations, students. Snakemake runs the stages.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
 
@@ -38,45 +38,47 @@ def _parser() -> argparse.ArgumentParser:
             "request",
             type=Path,
             metavar="request.json",
-            help="what to make: results/work/<stage>/<name>/<key>/request.json",
+            help="the request of the artifact: results/work/<stage>/<name>/<key>/request.json",
         )
         verb.add_argument("--threads", type=int, default=1)
         verb.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
         verb.set_defaults(run=_make, stage=stage)
 
-    verb = verbs.add_parser("check", help="validate studies, and list what each has yet to make")
+    verb = verbs.add_parser("check", help="validate studies, and list the artifacts that each still needs")
     _studies(verb, "check")
     verb = verbs.add_parser("ls", help="list the artifacts in the store")
     _studies(verb, "list_store")
-    verb = verbs.add_parser("gc", help="free what no study names")
-    verb.add_argument("--yes", action="store_true", help="do it, instead of saying what would be done")
+    verb = verbs.add_parser("gc", help="remove artifacts that no study names")
+    verb.add_argument("--yes", action="store_true", help="remove them; without --yes, gc only lists them")
     _studies(verb, "free", "yes")
-    verb = verbs.add_parser("verify", help="reread every checksum")
+    verb = verbs.add_parser("verify", help="compare every file with its checksum")
     verb.add_argument(
-        "--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them anew"
+        "--repair", action="store_true", help="remove damaged artifacts, so that the workflow makes them again"
     )
     verb.set_defaults(run=_verify)
-    verb = verbs.add_parser("mlflow-sync", help="bring MLflow up to date with the artifacts")
-    verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files (the workflow gives it)")
-    verb.add_argument("--fingerprint", help="with --configuration: what the workflow notes as mirrored")
+    verb = verbs.add_parser("mlflow-sync", help="write the artifacts to MLflow")
+    verb.add_argument("--configuration", help="a whole configuration as JSON, instead of files (used by the workflow)")
+    verb.add_argument("--fingerprint", help="with --configuration: fingerprint that is recorded as mirrored")
     verb.add_argument(
         "studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml"
     )
     verb.set_defaults(run=_mirror)
     verb = verbs.add_parser(
-        "publish", help="put report and names of a study into results/<study>/ (the workflow calls this)"
+        "publish", help="write report and names of a study to results/<study>/ (the workflow calls this)"
     )
     verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
-    verb.add_argument("--fingerprint", required=True, help="of the plan that the workflow has carried out")
+    verb.add_argument("--fingerprint", required=True, help="fingerprint of the plan that the workflow has run")
     verb.set_defaults(run=_publish)
     verb = verbs.add_parser("keep", help="keep a study's finished results, without weights, under docs/results/")
     verb.add_argument("study", type=Path, metavar="study.yaml")
     verb.add_argument("--folder", type=Path, help="default: docs/results/<study>/kept")
     verb.set_defaults(run=_keep)
-    verb = verbs.add_parser("restore", help="put kept results into the store, so that the report is built from them")
+    verb = verbs.add_parser(
+        "restore", help="copy kept results into the store, so that the workflow can build the report"
+    )
     verb.add_argument("study", type=Path, metavar="study.yaml", nargs="?")
     verb.add_argument("--folder", type=Path, help="default: docs/results/<study>/kept")
-    verb.add_argument("--discard", action="store_true", help="remove all restored artifacts from the store instead")
+    verb.add_argument("--discard", action="store_true", help="instead, remove all restored artifacts from the store")
     verb.set_defaults(run=_restore)
     verb = verbs.add_parser("schema", help="write docs/configuration.md and docs/schema.json")
     verb.add_argument("--docs", type=Path, default=Path("docs"))
@@ -97,6 +99,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _studies(verb: argparse.ArgumentParser, command: str, *extra: str) -> None:
+    """Adds the argument `studies`, and calls a function of acgd/study/commands.py with it and the `extra` options."""
     verb.add_argument(
         "studies", nargs="*", type=Path, metavar="study.yaml", help="default: config.yaml and studies/*.yaml"
     )
@@ -115,8 +118,8 @@ def _make(options: argparse.Namespace) -> None:
 
     job = read_request(options.request)
     if job["stage"] != options.stage:
-        right = f"python -m acgd {job['stage']} {options.request}"
-        raise ArtifactError(f"{options.request} asks for the stage {job['stage']}. Type: {right}")
+        command = f"python -m acgd {job['stage']} {options.request}"
+        raise ArtifactError(f"{options.request} is a request of the stage {job['stage']}. Type: {command}")
     make(job, chain.stage(options.stage), identity, Store(options.store), options.threads, options.device)
 
 
@@ -144,7 +147,8 @@ def _publish(options: argparse.Namespace) -> None:
     plan = _planned(options.configuration)
     if names.fingerprint(plan) != options.fingerprint:
         raise ArtifactError(
-            "Code, simulator or a file that the study reads has changed since the workflow was started. Start it again."
+            "Code, simulator or a file that the study reads has changed since the workflow was started. "
+            "Start the workflow again."
         )
     print(f"report: {names.publish(Store(options.store), plan)}")
 
@@ -158,7 +162,7 @@ def _keep(options: argparse.Namespace) -> None:
     outcome = kept.keep(Store(options.store), plan, folder)
     print(f"kept {len(outcome.done)} artifacts in {folder}; {len(outcome.missing)} are not finished")
     for file in outcome.too_large:
-        print(f"left out, too large: {file}")
+        print(f"left out, since it is too large: {file}")
 
 
 def _restore(options: argparse.Namespace) -> None:
@@ -170,13 +174,13 @@ def _restore(options: argparse.Namespace) -> None:
         print(f"removed {len(kept.discard(store))} restored artifacts")
         return
     if options.study is None:
-        raise ArtifactError("Name the study whose results are restored, or type --discard.")
+        raise ArtifactError("No study is named. Name the study to restore, or type --discard.")
     (plan,) = plans([options.study])
     outcome = kept.restore(store, plan, options.folder or kept.folder_of(plan.study))
-    counts = f"{len(outcome.present)} were there already, {len(outcome.missing)} were not kept"
+    counts = f"{len(outcome.present)} were in the store already, {len(outcome.missing)} were not kept"
     print(f"restored {len(outcome.done)} artifacts; {counts}")
     if outcome.missing:
-        print("Settings, code or a task have changed since they were kept:", *outcome.missing[:5], sep="\n  ")
+        print("Not kept, or settings, code or a task have changed since:", *outcome.missing[:5], sep="\n  ")
     else:
         print(f"Build the report: snakemake --cores 2 results/{plan.study}/report.html --configfile {options.study}")
 

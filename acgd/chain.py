@@ -1,7 +1,7 @@
 """The chain: the one table of its stages.
 
-Plan, keys, names, the workflow's rules, the command line, the report's entries and MLflow read this table. A new stage is
-one row here and one file with its Request and its function.
+Plan, keys, names, the workflow's rules, the command line, the report's entries and MLflow read this table. A new stage
+is one row here and one file with its Request and its function.
 """
 
 from acgd.store.stage import Read, Stage
@@ -182,7 +182,7 @@ _TABLE = (
 )
 
 STAGES: dict[str, Stage] = {stage.name: stage for stage in _TABLE}
-"""Name -> stage, upstream before downstream where rounds are left aside. One artifact of each variant, task, seed, ..."""
+"""Name -> stage. Upstream stages stand before downstream ones, except that a round reads the student before it."""
 
 REPORT = Stage(
     name="report",

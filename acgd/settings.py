@@ -1,4 +1,4 @@
-"""Settings: frozen, typed, unknown keys refused. Neither this module nor any `settings.py` imports torch or a simulator."""
+"""Settings: frozen, typed, unknown keys refused. No `settings.py` imports torch or a simulator."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -20,8 +20,8 @@ class Section(BaseModel):
 class Request(Section):
     """All that one artifact depends on besides its inputs.
 
-    The plan fills every field by its name: `task` (TaskConfig), `tasks`, `seed`, `round` and `condition` are those of the
-    artifact; any other field is the variant's section of that name.
+    The plan fills every field by its name. `task` (TaskConfig), `tasks`, `seed`, `round` and `condition` are those of
+    the artifact. Any other field is the variant's section of that name.
     """
 
     def uses(self, stage: str) -> bool:
@@ -55,7 +55,7 @@ def imported(name: str) -> Any:
 
 
 def one_of(kinds: Mapping[str, Kind], default: str) -> Any:
-    """The union of the settings classes of a registry, told apart by their field `kind`; without one it is `default`."""
+    """The union of the settings classes of a registry. The field `kind` selects one of them; without it, `default`."""
 
     def kind_of(value: Any) -> Any:
         return value.get("kind", default) if isinstance(value, Mapping) else getattr(value, "kind", None)

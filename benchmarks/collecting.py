@@ -1,4 +1,4 @@
-"""Environment steps per second while demonstrations are recorded, with images and without:
+"""Environment steps per second of the recording of demonstrations, with and without images:
 `python -m benchmarks.collecting`."""
 
 import time
@@ -16,13 +16,15 @@ from benchmarks.row import Row
 
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/reach")
 EPISODES = 4
-"""Side by side."""
+"""Episodes in lockstep."""
 WAVES = 2
+"""Measured waves of episodes; one more comes first and is not counted."""
 LEAST_RATIO = 0.6
+"""Smallest accepted rate with images over the rate without."""
 
 
 def run() -> list[Row]:
-    """One row per task. An untrained expert acts; its episodes may be short, and cost as much a step as others."""
+    """One row per task. The expert is untrained, which does not change the cost of a step."""
     torch.set_num_threads(1)
     return [_measure(TaskConfig(name=name)) for name in TASKS]
 
@@ -38,7 +40,7 @@ def _measure(task: TaskConfig) -> Row:
         for image, lock in locks.items():
             started = time.perf_counter()
             episodes = run_wave(expert, lock, seeds, config)
-            if wave:  # the first one uploads meshes
+            if wave:  # the first wave uploads meshes
                 seconds[image] += time.perf_counter() - started
                 steps[image] += sum(len(episode["reward"]) for episode in episodes)
     rate = {image: steps[image] / seconds[image] for image in locks}

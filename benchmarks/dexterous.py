@@ -1,5 +1,5 @@
-"""BiDex and OpDex in one thread: speed, soundness under random and extreme actions, and that chance solves nothing:
-`python -m benchmarks.dexterous`, or with names of tasks."""
+"""BiDex and OpDex in one thread: speed, stability under random and extreme actions, success of a random policy:
+`python -m benchmarks.dexterous [TASK ...]`."""
 
 import resource
 import statistics
@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from acgd.tasks.cameras import CAMERAS
 
 from acgd.tasks import registry
 from acgd.tasks.dexterous import DexterousTask
-from acgd.tasks.rendering import Renderer
+from acgd.tasks.rendering.renderer import Renderer
 from benchmarks.row import Row
 
 TASKS = tuple(name for name, spec in registry.TASKS.items() if spec.suite in ("bidex", "opdex"))
@@ -20,15 +19,17 @@ LEAST_STEPS = {"bidex": 1000.0, "opdex": 2500.0}
 LEAST_FRAMES = 250.0
 SIZE = 84
 CHUNK = 50
-"""Steps or frames between two looks at the clock; the median chunk counts."""
+"""Steps or frames of one time measurement. The median measurement counts."""
 TIMED = 2000
+"""Steps of the measurement of speed."""
 STEPS, FRAMES = 100_000, 400
-"""Of the soundness, half of them random and half extreme; and of the speed of pictures."""
+"""Steps of the stability test, half of them random and half extreme; frames of the measurement of rendering."""
 SETTLED = 5_000
-"""Steps after which memory must not grow."""
+"""Steps after which the memory must not grow."""
 MOST_GROWTH = 2.0
-"""MB: a few pages of the allocator's."""
+"""Largest accepted growth of memory in MB, a few pages of the allocator."""
 EPISODES = 50
+"""Episodes of the random policy."""
 
 
 def run(tasks: Sequence[str] = TASKS) -> list[Row]:
@@ -38,16 +39,21 @@ def run(tasks: Sequence[str] = TASKS) -> list[Row]:
 
 def _measure(task: str) -> list[Row]:
     env = registry.make(task, image_size=None)
-    least = LEAST_STEPS[env.task.suite]
+    required_rate = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
-    renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)
+    renderer = Renderer(env.model, camera=env.task.code().CAMERA, size=SIZE)
     frames = _rate(lambda: renderer.render(env.data), FRAMES)
     faults, growth = _soundness(env)
-    lucky = sum(_episode(env, seed) for seed in range(EPISODES))
+    solved = sum(_episode(env, seed) for seed in range(EPISODES))
     name = f"dexterous/{task}"
     return [
         Row(
-            name=f"{name}: speed", value=steps, unit="steps/s", ratio=None, target=f">= {least:.0f}", met=steps >= least
+            name=f"{name}: speed",
+            value=steps,
+            unit="steps/s",
+            ratio=None,
+            target=f">= {required_rate:.0f}",
+            met=steps >= required_rate,
         ),
         Row(
             name=f"{name}: pictures",
@@ -75,31 +81,34 @@ def _measure(task: str) -> list[Row]:
         ),
         Row(
             name=f"{name}: random policy",
-            value=lucky,
+            value=solved,
             unit=f"of {EPISODES} solved",
             ratio=None,
             target="0",
-            met=lucky == 0,
+            met=solved == 0,
         ),
     ]
 
 
-def _rate(do: Callable[[], object], count: int) -> float:
-    """Calls per second of processor time, so that other work on the machine counts for less."""
+def _rate(call: Callable[[], object], count: int) -> float:
+    """Calls per second of processor time, which other processes disturb less than wall time."""
     for _ in range(CHUNK):
-        do()
+        call()
     seconds = []
     for _ in range(count // CHUNK):
         started = time.process_time()
         for _ in range(CHUNK):
-            do()
+            call()
         seconds.append(time.process_time() - started)
     return CHUNK / statistics.median(seconds)
 
 
 def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False) -> Callable[[], bool]:
-    """A step of random actions, or of the ends of their range; tells whether it was sound. Episodes begin anew by
-    themselves."""
+    """A function that executes a step of random actions, or of random extreme actions, and returns whether it was
+    sound.
+
+    Episodes restart automatically.
+    """
     seeds = iter(range(2**31))
     env.reset(seed=next(seeds))
 
@@ -115,7 +124,7 @@ def _stepper(env: DexterousTask, rng: np.random.Generator, extreme: bool = False
 
 
 def _soundness(env: DexterousTask) -> tuple[int, float]:
-    """Steps with a warning of the simulator or a number that is none, and by how many MB memory grew."""
+    """Number of steps with a warning of the simulator or a NaN, and growth of memory in MB."""
     faults, settled = 0, 0
     for extreme in (False, True):
         step = _stepper(env, np.random.default_rng(1), extreme)
@@ -127,18 +136,18 @@ def _soundness(env: DexterousTask) -> tuple[int, float]:
 
 
 def _peak() -> int:
-    """kB of memory at most so far."""
+    """Peak memory of the process in kB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _episode(env: DexterousTask, seed: int) -> bool:
-    """Whether random actions ever solve it."""
+    """Whether an episode of random actions is ever solved."""
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
-    over = False
-    while not over:
+    ended = False
+    while not ended:
         _, _, terminated, truncated, info = env.step(rng.uniform(-1, 1, env.action_space.shape))
-        over = terminated or truncated
+        ended = terminated or truncated
     return info["success"]["once"]
 
 

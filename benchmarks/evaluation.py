@@ -1,28 +1,27 @@
-"""What an evaluation's time goes into, step by step, in one thread: `python -m benchmarks.evaluation`."""
+"""Cost of the parts of an evaluation step, in one thread: `python -m benchmarks.evaluation`."""
 
 import statistics
 import time
 
 import numpy as np
 import torch
-from acgd.students.codebook import Sizes
 
 from acgd.evaluation.settings import EvaluationConfig
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.policy import Padded, Policy
+from acgd.simulate.policy import Policy
 from acgd.simulate.roll import Recorder, Step, roll
-from acgd.students.acting import Actor
-from acgd.students.load import ActorPolicy
-from acgd.students.settings import ActingConfig, CodebookConfig
-from acgd.students.student import Student
+from acgd.students.acgd.settings import ACGDConfig
+from acgd.students.load import new_student, policy_of
+from acgd.students.settings import ActingConfig, ImitationConfig
+from acgd.students.student import Sizes
 from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.vision.cnn import SmallCNN
-from acgd.vision.settings import BackboneConfig
+from acgd.vision.privileged.settings import PrivilegedConfig
 from benchmarks.row import Row
 
 TASK = TaskConfig(name="myo/key-turn")
 STEPS = 60
-"""Of an episode; the median one counts."""
+"""Steps of an episode. The median step counts."""
 
 
 def run() -> list[Row]:
@@ -31,16 +30,15 @@ def run() -> list[Row]:
     size, pixels = EvaluationConfig().lockstep, ImageConfig().size
     blind, seeing = Lockstep(TASK, size, image_size=None), Lockstep(TASK, size, image_size=pixels)
     proprio, actions = (seeing.envs[0].observation_space["proprio"].shape[0], seeing.envs[0].action_space.shape[0])
-    features = BackboneConfig().dim
-    student = Student(CodebookConfig(), Sizes(features, proprio, actions, tasks=3, owns_cnn=False))
-    actor = Actor(student, SmallCNN(features).eval(), ActingConfig())
+    features = PrivilegedConfig().dim
+    sizes = Sizes(features, proprio, actions, tasks=3, owns_cnn=False)
+    student = new_student(ACGDConfig(), ImitationConfig(), sizes).eval()
+    acting = policy_of(student, SmallCNN(features).eval(), ActingConfig(), tasks=(TASK.name,), rows=size)
     still, goals = Still(actions), np.zeros((size, pixels, pixels, 3), np.uint8)
     rates = {
         "physics alone": _steps_per_s(blind, size, still),
         "with images": _steps_per_s(seeing, size, still),
-        f"with images and a student, {size} in lockstep": _steps_per_s(
-            seeing, size, Still(actions, Padded(ActorPolicy(actor), size)), goals
-        ),
+        f"with images and a student, {size} in lockstep": _steps_per_s(seeing, size, Still(actions, acting), goals),
     }
     physics = rates["physics alone"]
     return [
@@ -50,7 +48,7 @@ def run() -> list[Row]:
 
 
 class Still:
-    """Holds still, and computes what `policy` would do: an untrained student would drop the object and end episodes."""
+    """Holds still, and evaluates `policy` without its actions. An untrained student would end episodes early."""
 
     def __init__(self, actions: int, policy: Policy | None = None) -> None:
         self.actions, self.policy = actions, policy
@@ -65,7 +63,7 @@ class Still:
 
 
 class Clock(Recorder):
-    """Seconds per environment step: from one step's end to the next one's."""
+    """Records seconds per environment step, from the end of one step to the end of the next."""
 
     def start(self, lock: Lockstep, seeds: list[int]) -> None:
         self.times: list[float] = []

@@ -1,5 +1,5 @@
-"""Training experts in one thread: SAC's updates beside stable-baselines3's at equal sizes, and where a step's time
-goes: `python -m benchmarks.experts`."""
+"""Training of experts in one thread: SAC updates against stable-baselines3 at equal sizes, and the parts of a step:
+`python -m benchmarks.experts`."""
 
 import statistics
 import time
@@ -18,31 +18,33 @@ from acgd.tasks.settings import TaskConfig
 from benchmarks.row import Row
 
 STATE_DIM, ACTION_DIM = 115, 39
-"""Those of myo/reach."""
+"""Sizes of myo/reach."""
 ROUNDS, UPDATES = 25, 10
-"""The median round counts; the two take turns, so that other work on the machine slows both."""
+"""The median round counts. The variants take turns, so that other processes slow all of them."""
 TASK = "myo/obj-hold"
 STEPS = 400
 LEAST_RATIO = 2.0
+"""Smallest accepted speed over that of stable-baselines3."""
 
 
 def run() -> list[Row]:
-    """Updates per second of the default settings, with the same sizes in stable-baselines3 as the reference of the
-    ratio; then with as many policy updates, and in float32. Environment steps per second, with the physics alone as the
-    reference."""
+    """Updates per second of three variants, and environment steps per second.
+
+    The reference of the ratio is stable-baselines3 at equal sizes for updates, and the physics for environment steps.
+    """
     torch.set_num_threads(1)
-    ours = {
+    variants = {
         "SAC, default": SACSettings(),
         "SAC, a policy update with every critic update": SACSettings(actor_every=1),
         "SAC, float32": SACSettings(precision="float32"),
     }
-    work = {name: _ours(sac) for name, sac in ours.items()} | {"stock": _stock(SACSettings())}
-    rates = {name: 1 / seconds for name, seconds in _alternating(work).items()}
+    calls = {name: _project(sac) for name, sac in variants.items()} | {"stock": _stock(SACSettings())}
+    rates = {name: 1 / seconds for name, seconds in _alternating(calls).items()}
     rows = [
         Row(name=f"experts/{name}", value=rates[name], unit="updates/s", ratio=rates[name] / rates["stock"],
             target=f">= {LEAST_RATIO:g} x stable-baselines3's" if name == "SAC, default" else "",
             met=rates[name] >= LEAST_RATIO * rates["stock"] if name == "SAC, default" else None)
-        for name in ours
+        for name in variants
     ]  # fmt: skip
     rows.append(
         Row(
@@ -57,7 +59,7 @@ def run() -> list[Row]:
     return [*rows, *_steps(SACSettings(), rates["SAC, default"])]
 
 
-def _ours(sac: SACSettings) -> Callable[[], None]:
+def _project(sac: SACSettings) -> Callable[[], None]:
     learner = SACUpdate(STATE_DIM, ACTION_DIM, sac, torch.Generator().manual_seed(0))
     g = torch.Generator().manual_seed(1)
     n = sac.batch
@@ -72,7 +74,7 @@ def _ours(sac: SACSettings) -> Callable[[], None]:
 
 
 class _Nothing(gymnasium.Env):
-    """Spaces of the same sizes; it is not stepped."""
+    """An environment with the same spaces, which is never stepped."""
 
     observation_space = gymnasium.spaces.Box(-10, 10, (STATE_DIM,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (ACTION_DIM,), np.float32)
@@ -99,19 +101,19 @@ def _stock(sac: SACSettings) -> Callable[[], None]:
     return lambda: model.train(UPDATES, sac.batch)
 
 
-def _alternating(work: dict[str, Callable[[], None]]) -> dict[str, float]:
-    """Processor seconds an update, the median over rounds."""
-    seconds: dict[str, list[float]] = {name: [] for name in work}
+def _alternating(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
+    """Processor seconds per update, median over rounds."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(ROUNDS):
-        for name, do in work.items():
+        for name, call in calls.items():
             started = time.process_time()
-            do()
+            call()
             seconds[name].append((time.process_time() - started) / UPDATES)
     return {name: statistics.median(result[1:]) for name, result in seconds.items()}
 
 
 def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
-    """Of one environment: its own step, the physics in it, and a step of training with its share of updates."""
+    """Rows of one environment: its step, and a training step with its share of updates."""
     env = StateOnly(ExpertRequest(task=TaskConfig(name=TASK), expert=sac), 0)
     env.reset()
     base, rng = env.unwrapped.base, np.random.default_rng(0)
@@ -129,7 +131,7 @@ def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
         base.data.ctrl[:] = 1 / (1 + np.exp(-5 * (rng.uniform(-1, 1, ACTION_DIM) - 0.5)))
         mujoco.mj_step(base.model, base.data, base.frame_skip)
     physics = (time.process_time() - started) / STEPS
-    whole = step + sac.updates_per_step / updates_per_second
+    total = step + sac.updates_per_step / updates_per_second
     return [
         Row(
             name=f"experts/{TASK}: environment",
@@ -141,9 +143,9 @@ def _steps(sac: SACSettings, updates_per_second: float) -> list[Row]:
         ),
         Row(
             name=f"experts/{TASK}: SAC, all in all",
-            value=1 / whole,
+            value=1 / total,
             unit="steps/s",
-            ratio=physics / whole,
+            ratio=physics / total,
             target="(ratio: physics' share)",
             met=None,
         ),

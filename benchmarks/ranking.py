@@ -1,8 +1,8 @@
-"""How far the order of a state's actions can be known at all: `python -m benchmarks.ranking`, or with names of tasks.
+"""Limits of the rank correlation over actions of one state: `python -m benchmarks.ranking [TASK ...]`.
 
-Two limits of a critic's rank correlation within a state, from the simulator alone. Contacts make some tasks chaotic:
-sixteen actions have another order in a state a thousandth of a radian or a millimetre away, which a critic that is
-smooth in the state cannot follow. And what decides may come later than the branches that a critic is fitted to.
+The benchmark measures two limits with the simulator alone. Contacts make some tasks chaotic: the order of sixteen
+actions differs in a state that is a milliradian or a millimetre away, and a critic that is smooth in the state cannot
+follow. The differences between actions may also appear later than the branches that a critic is fitted to.
 """
 
 import sys
@@ -30,7 +30,7 @@ TASKS = tuple(name for name in registry.TASKS if zoo.has_expert(name))
 STATES = 24
 ENVIRONMENTS = 8
 DISTANCE = 1e-3
-"""Standard deviation of what is added to each position, in radians and metres."""
+"""Standard deviation of the offset of each position, in radians and metres."""
 
 
 def run(tasks: Sequence[str] = TASKS) -> list[Row]:
@@ -54,31 +54,31 @@ def _measure(task: str) -> list[Row]:
             visit_rate=0.25,
             bar=bar,
         )
-        here = one_per_episode(visits, rng)
-        actions = candidates(expert, np.stack([visit.state for visit in here]), quality.candidates, rng)[0]
+        visits = one_per_episode(visits, rng)
+        actions = candidates(expert, np.stack([visit.state for visit in visits]), quality.candidates, rng)[0]
 
-        tried = branches(lock, expert, here, actions, tail, bar)
-        tried_beside = branches(lock, expert, [_beside(lock.envs[0], visit, rng) for visit in here], actions, tail, bar)
-    whole, beside, early = (
-        discounted(data, gamma, steps)[data.starts].reshape(actions.shape[:2])
-        for data, steps in ((tried, tail), (tried_beside, tail), (tried, branched))
+        data = branches(lock, expert, visits, actions, tail, bar)
+        data_near = branches(lock, expert, [_near(lock.envs[0], visit, rng) for visit in visits], actions, tail, bar)
+    full, near, early = (
+        discounted(branch_data, gamma, steps)[branch_data.starts].reshape(actions.shape[:2])
+        for branch_data, steps in ((data, tail), (data_near, tail), (data, branched))
     )
-    orders = {f"{DISTANCE:g} rad or m away": beside, f"after {branched} of {tail} steps": early}
+    orders = {f"{DISTANCE:g} rad or m away": near, f"after {branched} of {tail} steps": early}
     return [
         Row(
-            name=f"ranking/{task}: {what}",
-            value=float(np.nanmean(rank_correlations(other, whole))),
+            name=f"ranking/{task}: {change}",
+            value=float(np.nanmean(rank_correlations(changed, full))),
             unit="rank correlation",
             ratio=None,
             target="",
             met=None,
         )
-        for what, other in orders.items()
+        for change, changed in orders.items()
     ]
 
 
-def _beside(env, visit: Visit, rng: np.random.Generator) -> Visit:
-    """The visit with each position moved by DISTANCE."""
+def _near(env, visit: Visit, rng: np.random.Generator) -> Visit:
+    """The visit with Gaussian offsets of all positions."""
     env.restore(visit.snapshot)
     mujoco.mj_integratePos(env.model, env.data.qpos, DISTANCE * rng.standard_normal(env.model.nv), 1)
     mujoco.mj_forward(env.model, env.data)

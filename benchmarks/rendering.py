@@ -1,4 +1,4 @@
-"""Frames per second at 84 px in one thread, beside MuJoCo's default settings: `python -m benchmarks.rendering`."""
+"""Frames per second at 84 px in one thread, against MuJoCo's defaults: `python -m benchmarks.rendering`."""
 
 import statistics
 import time
@@ -18,11 +18,11 @@ FRAMES = 200
 DEFAULT_FRAMES = 3
 LEAST_RATE, LEAST_RATIO = 400.0, 60.0
 TASKS = ("myo/key-turn", "myo/obj-hold", "myo/pen-twirl", "myo/pose", "myo/reach")
-"""The hard versions draw the same things."""
+"""Tasks with different pictures. The hard versions look the same."""
 
 
 def run() -> list[Row]:
-    """One row per task: the rate of the median frame, and its ratio to that of MuJoCo's defaults."""
+    """One row per task: rate of the median frame, and its ratio to the rate of MuJoCo's defaults."""
     return [_measure(task) for task in TASKS]
 
 
@@ -46,7 +46,10 @@ def _measure(task: str) -> Row:
 
 
 def _default(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> Callable[[], np.ndarray]:
-    """What mujoco.Renderer(model, SIZE, SIZE) does, in our OpenGL context: its own needs MUJOCO_GL at import."""
+    """The renderer of mujoco.Renderer(model, SIZE, SIZE) in the project's OpenGL context.
+
+    mujoco.Renderer would need MUJOCO_GL at import.
+    """
     view, option = camera.build(), mujoco.MjvOption()
     scene, viewport = mujoco.MjvScene(model, maxgeom=10_000), mujoco.MjrRect(0, 0, SIZE, SIZE)
     with gl.context().as_current():
@@ -65,9 +68,9 @@ def _default(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> Call
 
 
 def _seconds(render: Callable[[], np.ndarray], frames: int) -> tuple[float, float]:
-    """Median wall and processor time of a frame, the first (which uploads) left out.
+    """Median wall time and processor time of a frame in seconds, without the first frame, which uploads meshes.
 
-    The ratio is one of processor times: others at work on the machine interrupt the slow frames and not the fast ones.
+    The ratio uses processor times, because other processes interrupt slow frames more often than fast ones.
     """
     render()
     wall, processor = [], []

@@ -4,10 +4,12 @@ from typing import TypedDict
 
 
 class Row(TypedDict):
+    """Name, value and target of one measurement. `met` is None without a target."""
+
     name: str
     value: float
     unit: str
     ratio: float | None
-    """To the reference measured in the same run; each benchmark's `run` says which."""
+    """Ratio to the reference that `run` of the benchmark names, measured in the same run."""
     target: str
     met: bool | None

@@ -1,4 +1,4 @@
-"""The cost of a step of student training in one thread, beside matrix products: `python -m benchmarks.student`."""
+"""Cost of a training step of a student in one thread, against matrix products: `python -m benchmarks.student`."""
 
 import statistics
 import time
@@ -34,11 +34,10 @@ MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """An unguided step and a guided one (two dueling critics of 128 units) of the default sizes, and an unguided one of
-    every kind of student at the same width and batch.
+    """Rows of a matrix product; of an unguided and a guided step of acgd (two dueling critics of 128 units per task); of
+    an unguided step of every kind of student at the same width and batch.
 
-    They take turns with a matrix product. Times are of the processor, so that neighbours disturb them less; the
-    median step counts.
+    The calls take turns. Times are processor times, which other processes disturb less. The median counts.
     """
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -71,14 +70,14 @@ def run() -> list[Row]:
 
 
 def flops(step: Callable[[], None]) -> int:
-    """Of the matrix products of one step."""
+    """Floating-point operations of the matrix products of one step."""
     with FlopCounterMode(display=False) as counter:
         step()
     return counter.get_total_flops()
 
 
 def training_step(settings: Section, guided: bool) -> Callable[[], None]:
-    """One optimiser step of a student, as `distil` takes it, on data of the default study's size."""
+    """A function that executes one optimiser step of a student, as `distil` does, at the size of the default study."""
     imitation, training, by_critic = ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
     data = Data.of(_windows(), imitation, settings.chunk, settings.history)
     if "codebook" in settings.needs:
@@ -115,19 +114,19 @@ def training_step(settings: Section, guided: bool) -> Callable[[], None]:
 
 
 def in_turn(*calls: Callable[[], object]) -> list[float]:
-    """Median processor seconds of each call. Calls take turns, so that what slows the machine slows all of them."""
-    taken: list[list[float]] = [[] for _ in calls]
+    """Median processor seconds of each call. The calls take turns, so that other processes slow all of them."""
+    seconds: list[list[float]] = [[] for _ in calls]
     for repeat in range(WARMUP + STEPS):
-        for times, call in zip(taken, calls):
+        for times, call in zip(seconds, calls):
             start = time.process_time()
             call()
             if repeat >= WARMUP:
                 times.append(time.process_time() - start)
-    return [statistics.median(times) for times in taken]
+    return [statistics.median(times) for times in seconds]
 
 
 def _windows() -> Windows:
-    """Random demonstrations of the default study's size."""
+    """Random demonstrations of the size of the default study."""
     steps, episodes = TASKS * EPISODES * LENGTH, TASKS * EPISODES
     index = torch.arange(steps)
     return Windows(

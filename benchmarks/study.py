@@ -1,4 +1,5 @@
-"""What the finished default study cost, from the run.json of its artifacts, and what one more variant would: `python -m benchmarks.study`."""
+"""Cost of the finished default study, from the run.json of its artifacts, and jobs of one more variant:
+`python -m benchmarks.study`."""
 
 import json
 import re
@@ -20,23 +21,25 @@ from benchmarks.row import Row
 
 MOST_MINUTES, MOST_GB = 20.0, 6.0
 LONGEST_PAUSE_S = 60.0
-"""Between two stages lie the start of a process and Snakemake's own work. A longer gap is a user who came back later."""
+"""Longest gap between two stages in seconds: the start of a process and the work of Snakemake. In a longer gap the
+workflow did not run."""
 WORKFLOW_JOBS = {"all", "publish", "mlflow", "report"}
+"""Jobs of every run of the workflow."""
 VARIANT_JOBS = {"student", "evaluation", "clips"}
-"""What a variant that changes a student setting runs, besides."""
+"""Jobs of a variant that changes a student setting."""
 
 
 class NotMeasured(Exception):
-    """There is nothing to measure yet; the message says what to do."""
+    """The study is not finished. The message names the mend."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What run.json says of the making of one artifact."""
+    """One artifact's entries in run.json."""
 
     stage: str
     started: float
-    """Seconds since 1970."""
+    """Unix time, seconds."""
     seconds: float
     peak_bytes: int
     resumed: bool
@@ -47,7 +50,7 @@ class Job:
 
 
 def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> list[Row]:
-    """Minutes and memory of the study, seconds of each stage (`ratio`: its share of all), and the jobs of one more variant."""
+    """Rows of wall time, memory, seconds per stage (ratio: share of the total), and jobs of one more variant."""
     jobs = _jobs(config, results)
     seconds = busy_seconds(jobs)
     gigabytes = peak_bytes(jobs) / 1e9
@@ -74,14 +77,14 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
     by_stage: dict[str, list[float]] = defaultdict(list)
     for job in jobs:
         by_stage[job.stage].append(job.seconds)
-    worked = sum(job.seconds for job in jobs)
+    total_seconds = sum(job.seconds for job in jobs)
     for stage, times in by_stage.items():
         rows.append(
             Row(
                 name=f"study/{stage} x {len(times)}",
                 value=sum(times),
                 unit="s",
-                ratio=sum(times) / worked,
+                ratio=sum(times) / total_seconds,
                 target="",
                 met=None,
             )
@@ -90,26 +93,26 @@ def run(config: Path = Path("config.yaml"), results: Path = Path("results")) -> 
 
 
 def busy_seconds(jobs: Iterable[Job]) -> float:
-    """From the first start to the last end, without the pauses in which nobody ran the workflow."""
-    total, until = 0.0, None
+    """Seconds from the first start to the last end, without gaps longer than LONGEST_PAUSE_S."""
+    total, end = 0.0, None
     for job in sorted(jobs, key=lambda job: job.started):
-        if until is not None and job.started > until:
-            total += job.started - until if job.started - until <= LONGEST_PAUSE_S else 0.0
-        begin = job.started if until is None else max(job.started, until)
-        total += max(0.0, job.ended - begin)
-        until = job.ended if until is None else max(until, job.ended)
+        if end is not None and job.started > end:
+            total += job.started - end if job.started - end <= LONGEST_PAUSE_S else 0.0
+        start = job.started if end is None else max(job.started, end)
+        total += max(0.0, job.ended - start)
+        end = job.ended if end is None else max(end, job.ended)
     return total
 
 
 def peak_bytes(jobs: Iterable[Job]) -> int:
-    """The largest sum of the peaks of stages that ran at the same time: never less than what was really held."""
+    """Largest sum of the peak memory of simultaneous stages, in bytes. It is an upper bound of the memory in use."""
     events = sorted(
         [(job.started, 1, job.peak_bytes) for job in jobs] + [(job.ended, 0, -job.peak_bytes) for job in jobs]
     )
-    held = peak = 0
+    current = peak = 0
     for _, _, change in events:
-        held += change
-        peak = max(peak, held)
+        current += change
+        peak = max(peak, current)
     return peak
 
 
@@ -130,7 +133,7 @@ def _job(stage: str, file: Path) -> Job:
 
 
 def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
-    """A dry run of the finished study with another alpha as a further variant."""
+    """Row of a dry run of the finished study with another alpha as a further variant."""
     content = read_yaml(config)
     content["variants"] = {**content.get("variants", {}), "one-more": {"guidance": {"alpha": 1.2345}}}
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
@@ -138,15 +141,16 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
         file.flush()
         jobs = dry_run(Path(file.name), results.resolve().parent)
     seeds = len(load_study(content).seeds)
-    own = sum(jobs[rule] for rule in VARIANT_JOBS)
-    foreign = {rule: count for rule, count in jobs.items() if rule not in VARIANT_JOBS | WORKFLOW_JOBS}
+    variant_jobs = sum(jobs[rule] for rule in VARIANT_JOBS)
+    other_jobs = {rule: count for rule, count in jobs.items() if rule not in VARIANT_JOBS | WORKFLOW_JOBS}
     return Row(
         name="study/jobs of one more variant",
-        value=own,
+        value=variant_jobs,
         unit="jobs",
-        ratio=own / artifacts,
-        target=f"{seeds} students and their evaluations, nothing upstream{': but ' + str(foreign) if foreign else ''}",
-        met=not foreign and own == len(VARIANT_JOBS) * seeds,
+        ratio=variant_jobs / artifacts,
+        target=f"{seeds} students, their evaluations and clips, nothing upstream"
+        f"{': but ' + str(other_jobs) if other_jobs else ''}",
+        met=not other_jobs and variant_jobs == len(VARIANT_JOBS) * seeds,
     )
 
 
@@ -164,11 +168,11 @@ def dry_run(config: Path, folder: Path) -> Counter[str]:
         "--configfile",
         str(config.resolve()),
     ]
-    done = subprocess.run(
+    completed = subprocess.run(
         [*command, "--cores", "2", "--dry-run", "--nolock", "all"], capture_output=True, text=True, check=False
     )
-    text = done.stdout + done.stderr
-    if done.returncode:
+    text = completed.stdout + completed.stderr
+    if completed.returncode:
         raise RuntimeError(f"snakemake's dry run failed:\n{text}")
     table = re.search(r"^job\s+count\n-.*\n((?:\S+\s+\d+\n)+)", text, re.MULTILINE)
     return Counter(

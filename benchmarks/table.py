@@ -1,4 +1,4 @@
-"""Every benchmark in one table and in results/bench.json: `make bench`, or `python -m benchmarks.table rendering student`."""
+"""Runs benchmarks and writes results/bench.json: `make bench`, or `python -m benchmarks.table rendering student`."""
 
 import json
 import multiprocessing
@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 BENCHMARKS = ("rendering", "dexterous", "experts", "collecting", "student", "ranking", "evaluation", "verdict", "study")
-"""Modules with `run() -> list of rows`; a row is name, value, unit, ratio, target, met (None where nothing is asked)."""
+"""Modules with `run() -> list[Row]`."""
 RESULT = Path("results/bench.json")
 FIELDS = ("value", "unit", "ratio", "target", "met")
 
 
 def main(names: Sequence[str]) -> int:
-    """Runs them one after the other, each in a process of its own; 1 if one of them could not be measured."""
+    """Runs the named benchmarks, each in a separate process. Returns 1 for an unknown name or a failed benchmark."""
     unknown = [name for name in names if name not in BENCHMARKS]
     if unknown:
         print(f"error: no benchmark {', '.join(unknown)}. There are: {', '.join(BENCHMARKS)}", file=sys.stderr)
@@ -26,7 +26,7 @@ def main(names: Sequence[str]) -> int:
         print(f"measuring {name} ...", file=sys.stderr, flush=True)
         try:
             rows += _measured(name)
-        except Exception as error:  # the others are still worth measuring
+        except Exception as error:  # other benchmarks still run
             failures[name] = f"{type(error).__name__}: {error}"
     print(table(rows))
     for name, failure in failures.items():
@@ -37,7 +37,7 @@ def main(names: Sequence[str]) -> int:
 
 
 def _measured(name: str) -> list[dict[str, Any]]:
-    """A fresh process, so that no benchmark finds the threads, memory or OpenGL of another."""
+    """Rows of one benchmark, from a new process, so that benchmarks share no threads, memory or OpenGL context."""
     with ProcessPoolExecutor(max_workers=1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(_run, name).result()
 
@@ -47,7 +47,7 @@ def _run(name: str) -> list[dict[str, Any]]:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Aligned text."""
+    """The rows as aligned text."""
     cells = [("what", "value", "unit", "ratio", "met", "target")]
     for row in rows:
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
@@ -64,11 +64,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def write(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """Name -> value, unit, ratio, target, met. What was measured before and not this time stays."""
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    known.update({row["name"]: {field: row[field] for field in FIELDS} for row in rows})
+    """Updates `file`: name -> value, unit, ratio, target, met. Entries of other benchmarks stay."""
+    stored = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    stored.update({row["name"]: {field: row[field] for field in FIELDS} for row in rows})
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    file.write_text(json.dumps(stored, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

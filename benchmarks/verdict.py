@@ -1,9 +1,9 @@
-"""How often the report's interval says that two variants differ: `python -m benchmarks.verdict`.
+"""False positives and power of the report's interval in simulated studies: `python -m benchmarks.verdict`.
 
-Without a true difference, an interval of 95% may exclude zero in 5% of studies. Both variants succeed at the same base
-rate. Each student has its own success probability around it, independent of the other variant's. Then all starts are
-alike, or half of them decide the episode by themselves. Beside it stand Student's t over seeds alone, the percentile
-bootstrap over seeds and starts that the report used before, and the power at a true difference.
+Without a true difference a 95% interval may exclude zero in 5% of studies. Both variants have the same base rate. Each
+student's success probability varies around it, independently in both variants. Either all starts are alike, or half of
+them determine the outcome. The table compares the report's interval with Student's t over seeds and with a percentile
+bootstrap over seeds and starts, and lists the power at a true difference.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,25 +17,27 @@ from acgd.evaluation.intervals import half_width
 from benchmarks.row import Row
 
 LEVEL = 0.06
-"""The share of studies without a true difference whose interval may exclude zero."""
+"""Largest accepted share of studies without a true difference whose interval excludes zero."""
 STUDIES, AT_ONCE = 4000, 500
 BASES = (0.1, 0.5, 0.9, 0.97)
 
 Excludes = Callable[[np.ndarray], np.ndarray]
-"""Differences (n, T, S, E) of -1, 0, 1 -> (n,) bool: whether the interval of the mean excludes zero."""
+"""Differences (n, T, S, E) in {-1, 0, 1} -> (n,) bool, whether the interval of the mean excludes zero.
+
+n studies, T tasks, S student seeds, E episodes."""
 
 
 class Cell(NamedTuple):
-    """One design of a study, and the truth about its students."""
+    """Design of a study, and the true success probabilities of its students."""
 
     students: int
     spread: float
-    """Standard deviation of a student's own success probability, before it is cut to [0, 1]."""
+    """Standard deviation of success probabilities over students, before the clip to [0, 1]."""
     base: float
     episodes: int
     tasks: int
     by_start: float = 0.0
-    """Share of the starts that decide the episode by themselves, for each variant in its own way."""
+    """Share of the starts that determine the outcome, independently in both variants."""
     gain: float = 0.0
     """True difference of the two variants."""
 
@@ -44,7 +46,7 @@ CELLS = tuple(Cell(*design) for design in product((3, 5, 10), (0, 0.05, 0.14), B
 
 
 def studies(cell: Cell, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Differences in success (n, T, S, E) of -1, 0, 1."""
+    """Simulated differences in success (n, T, S, E) in {-1, 0, 1}."""
     shape = (count, cell.tasks, cell.students, cell.episodes)
     outcomes = []
     for sign in (1, -1):
@@ -59,19 +61,19 @@ def studies(cell: Cell, count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def report(d: np.ndarray) -> np.ndarray:
-    """The interval of the report."""
+    """Whether the report's interval excludes zero."""
     return np.abs(d.mean(axis=(1, 2, 3))) > half_width(list(np.moveaxis(d, 1, 0))) + 1e-12
 
 
 def student_t(d: np.ndarray) -> np.ndarray:
-    """Student's t over the seeds' own differences, without a floor: of no width where they agree."""
+    """Student's t over the differences per seed. The interval has no width where all seeds agree."""
     by_seed, students = d.mean(axis=(1, 3)), d.shape[2]
     half = t.ppf(0.975, students - 1) * by_seed.std(axis=1, ddof=1) / np.sqrt(students)
     return np.abs(by_seed.mean(axis=1)) > half + 1e-12
 
 
 def bootstrap(d: np.ndarray, resamples: int = 400) -> np.ndarray:
-    """Percentile bootstrap: student seeds once for all tasks, starts within each task, of all studies at once."""
+    """Percentile bootstrap. It resamples student seeds jointly for all tasks, and starts within each task."""
     rng = np.random.default_rng(0)
     count, tasks, students, episodes = d.shape
     seeds = rng.multinomial(students, np.full(students, 1 / students), size=resamples) / students
@@ -96,7 +98,7 @@ def _batches(cell: Cell, count: int, seed: int) -> Iterator[np.ndarray]:
 
 
 def run() -> list[Row]:
-    """Per number of student seeds and spread: the worst of the other cells, and the power at one difference."""
+    """Rows per number of student seeds and spread: worst rate over the other parameters, and power."""
     rows = []
     for students, spread in product((3, 5, 10), (0, 0.05, 0.14)):
         cells = [cell for cell in CELLS if (cell.students, cell.spread) == (students, spread)]

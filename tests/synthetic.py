@@ -34,6 +34,8 @@ STUDENTS = {
     "chunk": {"kind": "chunk", "chunk": 4, "history": 3, "width": 32, "heads": 2},
 }
 """Tiny students, one of each kind."""
+TRAINING = {"bc": {"learning_rate": 1e-2}}
+"""Kinds that need other settings than the rest to learn the small dataset in a few steps."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 
 

@@ -98,7 +98,7 @@ def test_a_manifest_is_the_same_bytes_when_the_artifact_is_made_again(store, mad
     assert contents(made) == before
 
 
-def test_what_is_there_is_not_made_again(store, made):
+def test_an_existing_artifact_is_not_made_again(store, made):
     def fill(space):
         raise AssertionError("made again")
 
@@ -126,7 +126,7 @@ def test_a_stage_that_fails_publishes_nothing_and_keeps_its_checkpoints(store):
     assert not (store.work(PLACE) / "state").exists()
 
 
-def test_curves_without_a_checkpoint_are_not_gone_on_from(store):
+def test_metrics_without_a_checkpoint_are_discarded(store):
     def fails(space):
         space.metrics.write_text('{"step": 1}\n')
         raise RuntimeError
@@ -144,7 +144,7 @@ def test_a_stage_that_writes_nothing_is_refused(store):
 
 
 @pytest.mark.parametrize("mode", ["killed in the stage", "killed before the rename", "killed before the manifest"])
-def test_killed_it_is_no_artifact_and_the_next_maker_goes_on(store, mode):
+def test_after_a_kill_there_is_no_artifact_and_the_next_maker_resumes(store, mode):
     process = maker(store.results, mode)
     process.communicate(timeout=60)
     assert process.returncode == -signal.SIGKILL
@@ -299,7 +299,7 @@ def test_a_job_refuses_a_request_that_its_key_does_not_belong_to(store, study):
 
 
 def test_experts_and_critics_from_the_zoo_are_made_and_depend_on_its_files(store, monkeypatch):
-    """The process that makes them finds the key that the plan has; so does a training that starts from an expert of the zoo."""
+    """The process that makes them computes the key of the plan. So does a training that starts from a zoo expert."""
     monkeypatch.setattr(
         "acgd.experts.train.train", lambda request, inputs, ctx: (ctx.out / "weights").write_bytes(b"w")
     )

@@ -60,7 +60,7 @@ MALFORMED = [
         {"tasks": ["opdex/spray-1"]}, ["critic.action_space", "motors", "Set it to raw"], id="muscles of a robot"
     ),
     pytest.param({"seeds": [0, 0]}, ["seeds", "twice"], id="seed twice"),
-    pytest.param({"seeds": [-1]}, ["seeds", "-1", "count from 0"], id="negative seed"),
+    pytest.param({"seeds": [-1]}, ["seeds", "-1", "seeds from 0 on"], id="negative seed"),
     pytest.param({"backbone": {"kind": "r3m"}}, ["backbone", "path"], id="weights not named"),
     pytest.param(
         {"backbone": {"kind": "r3m", "path": "no/model.pt"}}, ["backbone.path", "no/model.pt"], id="missing file"
@@ -103,14 +103,14 @@ MALFORMED = [
         id="variant's file",
     ),
     pytest.param(
-        {"variants": {"a": {"tasks": ["myo/pose"]}}}, ["variants.a.tasks", "a study of its own"], id="variant of tasks"
+        {"variants": {"a": {"tasks": ["myo/pose"]}}}, ["variants.a.tasks", "another study"], id="variant of tasks"
     ),
     pytest.param(
         {"variants": {"a": {"guidance": {"alpha": {"expand": 3}}}}},
         ["variants", "guidance.alpha", "expand: [first, second"],
         id="expand over no list",
     ),
-    pytest.param({"variants": {"a/b": {}}}, ["variants", "'a/b' becomes a folder"], id="name of a variant"),
+    pytest.param({"variants": {"a/b": {}}}, ["variants", "'a/b' cannot name a folder"], id="name of a variant"),
     pytest.param({"name": "store"}, ["name", "'store'", "none of"], id="name of the study"),
     pytest.param(
         {"variants": {"acgd": {}}, "report": {"baseline": "agcd"}}, ["report.baseline", "Nearest: acgd"], id="baseline"

@@ -255,11 +255,11 @@ def test_differences_in_units_of_the_actions_distance():
 def test_noise_on_states_is_one_draw_for_all_actions_of_a_branched_state():
     data = concatenate([linear_problem(60), replace(linear_problem(12), branch=np.repeat(np.arange(4), 3))])
     fit = FittedQ(data, TINY.model_copy(update={"state_noise": 0.5, "batch": 2000}), 0.9, CPU)
-    moved = fit._blurred(torch.ones(2000 + 2 * 3, 1)) - 1  # TINY has three actions a state
+    moved = fit._with_state_noise(torch.ones(2000 + 2 * 3, 1)) - 1  # TINY has three actions a state
     assert float(moved[:2000].std()) == pytest.approx(0.5, rel=0.1)
     first, second = moved[2000:2003, 0].tolist(), moved[2003:, 0].tolist()
     assert len(set(first)) == len(set(second)) == 1 and first[0] != second[0]
-    assert torch.equal(FittedQ(data, TINY, 0.9, CPU)._blurred(torch.ones(6, 1)), torch.ones(6, 1))
+    assert torch.equal(FittedQ(data, TINY, 0.9, CPU)._with_state_noise(torch.ones(6, 1)), torch.ones(6, 1))
 
 
 def test_groups_of_unequal_size_are_refused():
@@ -375,7 +375,7 @@ def test_within_state_correlation_of_perfect_and_shuffled_values():
     assert np.isnan(quality.rank_correlations(np.repeat(returns[:, :1], 16, 1), returns)).all()
 
 
-def test_interval_is_students():
+def test_the_interval_is_a_t_interval():
     result = quality.interval(np.array([0.0, 0.2, 0.4, np.nan]))
     assert result["mean"] == pytest.approx(0.2) and result["states"] == 3
     assert result["high"] - result["mean"] == pytest.approx(4.3027 * 0.2 / 3**0.5, rel=1e-4)
@@ -409,7 +409,7 @@ def test_a_branch_with_the_experts_action_repeats_the_rollout(lock: Lockstep, ex
             PerturbationConfig(clean=1, gaussian=0, bursts=0),
             SEEDS.critic_quality,
             limit=6,
-            beyond=60,
+            extra_steps=60,
             episodes=2,
             visit_rate=1.0,
             bar=bar,
@@ -507,7 +507,7 @@ def test_the_smallest_settings_run(tmp_path: Path, expert: Expert, settings: dic
     assert all(value.isfinite().all() for value in Critic.load(tmp_path / "out").state_dict().values())
 
 
-def test_of_too_few_states_with_an_order_nothing_is_known():
+def test_too_few_states_with_a_ranking_give_no_interval():
     assert quality.interval(np.array([np.nan, 0.4])) == {"mean": 0.4, "low": -1.0, "high": 1.0, "states": 1}
     assert quality.interval(np.array([np.nan])) == {"mean": 0.0, "low": -1.0, "high": 1.0, "states": 0}
 
@@ -532,7 +532,7 @@ def test_settings_that_cannot_be_met_are_refused():
         (ExpertCriticSettings(), ZooSettings(), "myo/reach", "the expert in zoo/ for myo/reach has no critics"),
     ],
 )
-def test_a_critic_that_there_is_not_is_a_fault_with_its_mend(critic, expert, task: str, fault: str | None):
+def test_a_missing_critic_is_refused_with_the_mend(critic, expert, task: str, fault: str | None):
     faults = list(zoo.faults([(task, expert, critic)]))
     assert not faults if fault is None else len(faults) == 1 and fault in faults[0]
 

@@ -34,7 +34,7 @@ def test_a_search_repeats_itself_and_moves():
 
 
 def test_vector_and_detour_are_inverse():
-    detour, settings = detour_search._teacher(detour_search._vector(), TEACHER)
+    detour, settings = detour_search._decode(detour_search._initial_vector(), TEACHER)
     assert (detour.steps, detour.gain, settings.rate) == pytest.approx((20, 3.0, 2.5))
     assert set(detour.posture) == {0.0} and set(detour.share) == {1.3}
 

@@ -380,12 +380,12 @@ def test_ppo_goes_on_from_an_imitation_of_the_muscle_controller(tmp_path):
 
 
 def test_the_value_function_learns_before_a_policy_with_a_warm_start_moves(tmp_path, monkeypatch):
-    """For VALUE_FIRST steps; a run from nothing moves at once."""
+    """For VALUE_ONLY_STEPS steps; a run from nothing moves at once."""
     moved = {}
     for first, still in (("muscle", 96), ("muscle", 64), ("", 96)):
         folder = tmp_path / f"{first}{still}"
         folder.mkdir()
-        monkeypatch.setattr(ppo, "VALUE_FIRST", still)
+        monkeypatch.setattr(ppo, "VALUE_ONLY_STEPS", still)
         saved = []
         monkeypatch.setattr(
             ppo,

@@ -221,7 +221,7 @@ def test_device_and_cadence_do_not_even_change_the_report():
     assert remade({"device": "cpu", "critic": {"checkpoint_every": 7}}) == (set(), set())
 
 
-def test_order_of_keys_is_nothing():
+def test_the_order_of_configuration_keys_changes_no_artifact():
     shuffled = {name: BASE[name] for name in reversed(BASE)}
     assert list(plan(load_study(shuffled)).artifacts) == list(planned().artifacts)
 

@@ -1,10 +1,13 @@
 """The house: no folder imports upwards, and a new kind of student or a new stage is one file and one line."""
 
 import ast
+import json
+import re
 import shutil
 
 import pytest
-from workflow_runs import ROOT, workflow
+import yaml
+from workflow_runs import ROOT, STUDY, workflow
 
 from acgd import ORDER
 
@@ -89,17 +92,124 @@ def count(request, inputs, ctx):
 '''
 
 
-def test_a_toy_stage_is_one_file_and_one_line(copy, finished_miniature):
+def started(said):
+    """Stages of the jobs that a workflow ran, sorted; publishing is none."""
+    return sorted(re.findall(r"^(\w+)/\S+: started$", said, re.MULTILINE))
+
+
+@pytest.fixture
+def finished(copy, finished_miniature):
+    """The copy, with all that the miniature has made."""
     shutil.copytree(finished_miniature / "results", copy / "results", ignore=shutil.ignore_patterns("work"))
-    (copy / "acgd/collection/count.py").write_text(TOY_STAGE)
+    return copy
+
+
+def artifact(folder, name):
+    """Directory of the artifact of the miniature's name."""
+    return folder / (folder / f"results/miniature/{name}").read_text().strip()
+
+
+def test_a_toy_stage_is_one_file_and_one_line(finished):
+    (finished / "acgd/collection/count.py").write_text(TOY_STAGE)
     place = "acgd.collection.count"
     insert_line(
-        copy / "acgd/chain.py",
+        finished / "acgd/chain.py",
         "_TABLE = (",
         f'    Stage("count", 1, "{place}:CountRequest", "{place}:count", ("task",), (Read("rollouts"),), wanted=True),',
     )
-    said = workflow(copy, "all", root=copy)
-    assert said.count("started\n") == 3, "two counts and the report"
+    assert started(workflow(finished, "all", root=finished)) == ["count", "count", "report"]
     for task in ("myo-obj-hold", "myo-reach"):
-        folder = copy / (copy / f"results/miniature/acgd/{task}/count").read_text().strip()
-        assert '"frames"' in (folder / "count.json").read_text()
+        assert '"frames"' in (artifact(finished, f"acgd/{task}/count") / "count.json").read_text()
+
+
+TOY_STUDENT = '''"""A student that sees nothing: one constant action for each task."""
+
+from typing import ClassVar, Literal
+
+from acgd.settings import Section
+
+
+class ToySettings(Section):
+    """No hyperparameters."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    chunk: ClassVar[int] = 1
+    history: ClassVar[int] = 1
+
+    kind: Literal["toy"] = "toy"
+
+
+def toy(settings, imitation, sizes):
+    """The network. Defined in here, so that settings import no torch."""
+    import torch
+    from torch import nn
+
+    from acgd.nn.losses import l1
+    from acgd.students.student import Imitation
+
+    class Toy(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.settings, self.imitation, self.sizes = settings, imitation, sizes
+            self.actions = nn.Embedding(sizes.tasks, sizes.actions)
+
+        def initialise(self, data, inputs):
+            pass
+
+        def prepare(self, data, inputs):
+            return {}
+
+        def forward(self, task):
+            return self.actions(task).tanh()[:, None]
+
+        def imitate(self, batch, *, guided, noise, generators):
+            action = self(batch.observation.task)
+            error = l1(action, batch.chunk, batch.mask)
+            return Imitation(error, action[:guided] if guided else None, {"l_act": error})
+
+        def validate(self, batch):
+            return {}
+
+        @torch.no_grad()
+        def plan(self, observation):
+            return self(observation.task)
+
+        def policy(self, perception, acting):
+            return ToyPolicy(self)
+
+    return Toy()
+
+
+class ToyPolicy:
+    """Remembers its tasks."""
+
+    def __init__(self, student):
+        self.student = student.eval()
+
+    def start(self, tasks, goals, seeds):
+        import torch
+
+        return torch.as_tensor(tasks)
+
+    def act(self, observations, memory):
+        return self.student(memory)[:, 0].detach().numpy(), memory
+'''
+
+
+def test_a_toy_student_kind_is_one_file_and_one_line(finished, tmp_path):
+    (finished / "acgd/students/toy.py").write_text(TOY_STUDENT)
+    insert_line(
+        finished / "acgd/students/kinds.py",
+        "STUDENTS: dict",
+        '    "toy": Kind("acgd.students.toy:ToySettings", "acgd.students.toy:toy"),',
+    )
+    study = yaml.safe_load(STUDY.read_text())
+    study["variants"]["toy"] = {"student": {"kind": "toy"}, "guidance": {"kind": "critic"}}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
+    said = workflow(finished, "all", root=finished, study=tmp_path / "study.yaml")
+    assert started(said) == ["clips", "evaluation", "report", "student"]
+    student = json.loads((artifact(finished, "toy/seed-0/student") / "student.json").read_text())
+    assert student["kind"] == "toy" and set(student["guidance"]) > {"kind"}
+    rows = (artifact(finished, "toy/seed-0/evaluation") / "episodes.jsonl").read_text().splitlines()
+    assert len(rows) == len(study["tasks"]) * study["evaluation"]["episodes"]
+    assert "toy" in (finished / "results/miniature/success.csv").read_text()

@@ -1,4 +1,4 @@
-"""Results that outlast a machine: kept without weights, restored into an empty store, read by the report alone."""
+"""Kept results: kept without weights, restored into an empty store, read by the report only."""
 
 import json
 from dataclasses import dataclass, field
@@ -107,7 +107,7 @@ def test_a_restored_artifact_is_whole_for_verify_and_refused_to_other_stages(inv
     assert len(store.places()) == len(plan.artifacts) - 1
 
 
-def test_what_is_not_finished_or_not_kept_is_named(invented, tmp_path: Path) -> None:
+def test_unfinished_artifacts_and_artifacts_that_are_not_kept_are_listed(invented, tmp_path: Path) -> None:
     store, plan, _ = invented
     lost = plan.inputs["evaluation"][0]
     store.remove(lost)

@@ -72,7 +72,7 @@ def store(tmp_path):
     return Store(tmp_path / "results")
 
 
-def test_of_two_at_once_one_makes_and_the_other_waits_names_the_holder_and_finds(store):
+def test_of_two_makers_one_makes_and_the_other_waits_and_names_the_holder(store):
     first = started(MAKER, PLACE, store.results)
     assert first.stdout.readline() == "filling\n"
     second = started(MAKER, PLACE, store.results)
@@ -142,7 +142,7 @@ def test_the_folder_of_a_lock_is_removed_lock_last_and_a_waiting_process_gets_th
     waiting.communicate(timeout=60)
 
 
-def test_what_is_in_the_making_is_not_freed(store):
+def test_an_artifact_that_a_process_makes_is_not_freed(store):
     process = started(MAKER, PLACE, store.results)
     process.stdout.readline()
     began = time.monotonic()

@@ -173,7 +173,8 @@ def test_the_lines_of_gate_and_floor_are_those_of_the_students(tmp_path: Path) -
     with_gate = said(*study(tmp_path / "with", rates, reliable_rank=0.35))
     assert "A ratio below 1% counts as no guidance." in with_gate
     request, inputs = study(tmp_path / "drawn", rates, reliable_rank=0.35)
-    assert "Dashed: 0.35, which the reliable gate asks" in words(report(request, inputs, tmp_path / "out")[1])
+    page = words(report(request, inputs, tmp_path / "out")[1])
+    assert "Dashed: 0.35, the least low end of the interval for the reliable gate" in page
     request, inputs = study(tmp_path / "without", rates)
     assert "reliable gate" not in words(report(request, inputs, tmp_path / "out2")[1])
 
@@ -199,7 +200,7 @@ def test_the_budget_of_a_variant_counts_its_rounds_and_its_own_chain(tmp_path: P
     shared = sum(sum(stages[stage]) for stage in upstream) + stages["codebook"][0]
     students, rounds = sum(stages["student"][:3]), sum(stages["onpolicy"][:4])
     assert budget.loc[("acgd", 0), "cpu_s"] == pytest.approx(shared + sum(stages["critic"]) + students + rounds)
-    assert "What it cost" in said(request, inputs) and "expert queries, on-policy" in said(request, inputs)
+    assert "Cost of a student" in said(request, inputs) and "expert queries, on-policy" in said(request, inputs)
     assert set(evidence.stages.query("stage == 'onpolicy' and variants == 'acgd'")["name"].head(2)) == {
         "myo/key-turn, seed 0, round 1",
         "myo/obj-hold, seed 0, round 1",
@@ -219,7 +220,7 @@ def test_a_comparison_that_mixes_precisions_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kept", "verdict"), [(0.1, "The study is visual"), (0.9, "The study is not visual"), (None, "was not measured")]
 )
-def test_it_says_whether_the_study_is_visual(tmp_path: Path, kept: float | None, verdict: str) -> None:
+def test_the_page_says_whether_the_study_is_visual(tmp_path: Path, kept: float | None, verdict: str) -> None:
     assert verdict in said(*study(tmp_path, {"acgd": [0.8], "no-guidance": [0.8]}, shuffled=kept, seeds=(0,)))
 
 
@@ -240,7 +241,7 @@ def test_numbers_carry_their_interval_and_counts(made) -> None:
         {"guided": (), "seeds": (0,), "features": False, "controls": False, "shuffled": None},
     ],
 )
-def test_a_study_with_less_in_it_has_a_report_too(tmp_path: Path, less: dict) -> None:
+def test_a_study_without_optional_stages_has_a_report(tmp_path: Path, less: dict) -> None:
     request, inputs = study(tmp_path / "store", {"one": [0.6, 0.4], "two": [0.5, 0.4]}, **{"guided": ("one",), **less})
     out, page = report(request, inputs, tmp_path / "out")
     assert (out / "success.csv").stat().st_size > 100 and "nan" not in words(page).lower()

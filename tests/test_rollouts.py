@@ -317,7 +317,7 @@ def arrays(tmp_path) -> tuple[Path, dict[str, np.ndarray]]:
     return tmp_path / "g.zarr", content
 
 
-def test_what_was_written_is_read(arrays):
+def test_written_arrays_are_read_back(arrays):
     path, content = arrays
     found = read_group(path, list(content))
     for name, value in content.items():

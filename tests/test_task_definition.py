@@ -61,7 +61,13 @@ EDITS = {
     "camera": ("kinds/key_turn.py", r"0\.29, 100\.0", "0.39, 100.0", NONE, KEY),
     "comment": ("kinds/key_turn.py", r"# the Random task", "# that task", NONE, NONE),
     "docstring": ("kinds/key_turn.py", r'\A"""Key-turn:', '"""Key:', NONE, NONE),
-    "string below a constant": ("kinds/key_turn.py", r'^"""rad"""', '"""Radians."""', NONE, NONE),
+    "string below a constant": (
+        "kinds/key_turn.py",
+        r'^"""Uniform noise of the key.s angle, rad\."""',
+        '"""Radians."""',
+        NONE,
+        NONE,
+    ),
     "layout": ("kinds/key_turn.py", r"uniform\(-KEY_ANGLE, ", "uniform(\n        -KEY_ANGLE,\n        ", NONE, NONE),
     "another kind": ("kinds/reach.py", r"0\.015", "0.15", {"myo/reach", "myo/reach-hard"}, NONE),
     "a bottle": ("kinds/spray_1.py", r"0\.036, 0\.036", "0.037, 0.037", {"opdex/spray-1"}, NONE),
@@ -83,7 +89,7 @@ EDITS = {
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_an_edit_changes_what_it_changes(copy: Path, name: str) -> None:
+def test_an_edit_changes_only_the_digests_that_it_affects(copy: Path, name: str) -> None:
     file, pattern, replacement, *expected = EDITS[name]
     edit(copy, file, pattern, replacement)
     before, after = {task: definition(task) for task in TASKS}, definitions(copy)
@@ -123,7 +129,7 @@ def test_every_source_that_an_episode_loads_defines_the_task(name: str) -> None:
     assert len(loaded) > 8 and loaded - names == set(sources(name))
 
 
-def test_it_is_fast_and_loads_no_simulator() -> None:
+def test_a_task_definition_is_fast_and_loads_no_simulator() -> None:
     code = (
         "import sys, time; from acgd.tasks.definition import definition; from acgd.tasks.spec import TASKS\n"
         "began = time.process_time(); [definition(name) for name in list(TASKS)[:10]]\n"

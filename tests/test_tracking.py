@@ -1,4 +1,4 @@
-"""Metrics survive kills and rewinds byte for byte; progress reads well in a log; MLflow mirrors, and never fails a job."""
+"""Metrics survive kills and rewinds byte for byte. A log shows progress. The MLflow mirror never fails a job."""
 
 import io
 import json
@@ -98,7 +98,7 @@ def test_a_long_stage_does_not_flood_its_log(monkeypatch: pytest.MonkeyPatch) ->
     assert lines[-1] == "training: done, 36000/36000 in 10:00:00"
 
 
-def test_what_an_earlier_run_did_counts_for_the_share_and_not_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_units_of_an_earlier_run_count_for_the_share_and_not_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr("tqdm.std.time", lambda: now)
     stream = io.StringIO()
@@ -112,7 +112,7 @@ def test_what_an_earlier_run_did_counts_for_the_share_and_not_for_the_rate(monke
     ]
 
 
-def test_nothing_to_do_and_more_than_was_to_do_are_fine() -> None:
+def test_a_total_of_zero_and_more_updates_than_the_total_are_allowed() -> None:
     stream = io.StringIO()
     with Progress(stream)(0, "collecting"):
         pass
@@ -121,7 +121,7 @@ def test_nothing_to_do_and_more_than_was_to_do_are_fine() -> None:
     assert "done, 0/0" in stream.getvalue() and "done, 5/2" in stream.getvalue()
 
 
-def test_a_failure_is_told_and_travels() -> None:
+def test_an_error_is_logged_and_raised() -> None:
     stream = io.StringIO()
     with pytest.raises(ValueError, match="boom"), Progress(stream)(10, "collecting") as bar:
         bar.update(3)
@@ -161,7 +161,7 @@ def artifact(tmp_path: Path) -> MakeArtifact:
         request = {"student": {"width": 64, "name": "x" * 9000}, "tasks": [{"name": "myo/pose"}, {"name": "myo/reach"}]}
         manifest = {"stage": stage, "name": "toy", "key": key, "request": request, "inputs": inputs or {}}
         (path / "manifest.json").write_text(json.dumps(manifest))
-        return Mirrored(path, names)
+        return Mirrored(path, names, ("health.json",))
 
     return make
 
@@ -215,7 +215,8 @@ def test_mlflow_mirrors_the_artifacts_and_is_built_again_when_deleted(tmp_path: 
     # So does a deleted database. In a process of its own, as mlflow keeps the deleted file open in this one.
     (tmp_path / "mlflow.db").unlink()
     again = (
-        "import pathlib, sys; from acgd.tracking.mlflow_mirror import Mirrored, sync; results, *paths = map(pathlib.Path, sys.argv[1:]);"
+        "import pathlib, sys; from acgd.tracking.mlflow_mirror import Mirrored, sync; "
+        "results, *paths = map(pathlib.Path, sys.argv[1:]); "
         "print(sync(results, 'toy-study', [Mirrored(path) for path in paths]))"
     )
     command = [sys.executable, "-c", again, str(tmp_path), *(str(made.path) for made in artifacts)]

@@ -1,4 +1,4 @@
-"""The workflow, through Snakemake: which jobs an edit reruns, and the whole chain in miniature, killed and gone on with."""
+"""The workflow under Snakemake: the jobs that an edit reruns, in dry runs."""
 
 import contextlib
 import io
@@ -117,7 +117,7 @@ def test_one_artifact_can_be_asked_for_by_name(tmp_path):
     assert jobs(tmp_path, {}, "results/t/acgd/myo-pose/expert") == dict(expert=1, name=1)
 
 
-def test_what_is_lost_is_made_again_and_nothing_else(tmp_path):
+def test_a_lost_artifact_is_made_again_and_no_other(tmp_path):
     store, planned = published(tmp_path, STUDY)
     lost = planned.names["acgd/seed-0/codebook"][0]
     store.remove(lost.place)

@@ -1,4 +1,4 @@
-"""The stage `rollouts`: successful episodes of an expert, with everything needed to see, score or replay them again."""
+"""The stage `rollouts`: demonstrations, which are successful episodes of an expert (docs/rollouts.md)."""
 
 import json
 from functools import cache
@@ -17,15 +17,15 @@ from acgd.store.stage import Context, Inputs
 
 
 class ExpertTooWeakError(RuntimeError):
-    """The expert does not reach the wanted number of successes. The message names the mend."""
+    """The expert solves too few episodes. The message names the mend."""
 
 
 def collect(request: RolloutsRequest, inputs: Inputs, ctx: Context) -> None:
-    """Run the expert until `demonstrations` episodes have succeeded, and keep those, in the order of their seeds.
+    """Runs the expert until `demonstrations` episodes have succeeded. Keeps these in the order of their seeds.
 
-    Writes rollouts.zarr (arrays: docs/rollouts.md) and summary.json. Episodes run in waves. A finished
-    wave is on disk, so that a kill loses the running one alone; which seeds a wave holds follows from
-    the waves before it, so that a resumed collection gives the same bytes.
+    Writes rollouts.zarr (arrays: docs/rollouts.md) and summary.json. Episodes run in waves. Each finished wave is
+    saved, so that a kill loses the running wave only. The results of earlier waves determine the seeds of a wave, so
+    that a resumed collection gives the same bytes. Raises ExpertTooWeakError.
     """
     expert = Expert.load(inputs["expert"])
     wanted = request.rollouts.demonstrations
@@ -48,9 +48,9 @@ def collect(request: RolloutsRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def run_wave(expert: Expert, lock: Lockstep, seeds: list[int], config: RolloutsConfig) -> list[Episode]:
-    """The episodes of `seeds`, in their order, successful or not.
+    """Runs the episodes of `seeds`. Returns all of them in this order.
 
-    Depends on nothing but its arguments: all noise comes from one generator seeded with `seeds`.
+    All noise comes from one generator that is seeded with `seeds`, so the episodes depend on the arguments only.
     """
     rng = np.random.default_rng(seeds)
     policy: Policy = Mean(expert) if config.acting == "mean" else Sampled(expert, rng)
@@ -62,14 +62,14 @@ def run_wave(expert: Expert, lock: Lockstep, seeds: list[int], config: RolloutsC
 
 
 def _next_seeds(request: RolloutsRequest, kept: int, failed: int) -> list[int]:
-    """Seeds of the next wave: no more than are still missing, so that nothing is run in vain."""
+    """Seeds of the next wave: at most as many as successes are missing. Raises ExpertTooWeakError."""
     settings = request.rollouts
     attempted, limit = kept + failed, settings.attempts * settings.demonstrations
     if attempted >= limit:
         raise ExpertTooWeakError(
-            f"the expert of {request.task.name} solved {kept} of {attempted} episodes, {settings.demonstrations} "
-            "successes are wanted: take a better expert (expert.kind: zoo, or more expert steps), ask for fewer "
-            "rollouts.demonstrations, set rollouts.acting: mean, or raise rollouts.attempts"
+            f"the expert of {request.task.name} solved {kept} of {attempted} episodes, and {settings.demonstrations} "
+            "successes are needed. Take a better expert (expert.kind: zoo, or more expert steps), lower "
+            "rollouts.demonstrations, set rollouts.acting: mean, or raise rollouts.attempts."
         )
     n = min(settings.lockstep, settings.demonstrations - kept, limit - attempted)
     return SEEDS.demonstrations.take(n, offset=settings.seed_offset + attempted)

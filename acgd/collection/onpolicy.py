@@ -1,4 +1,4 @@
-"""The stage `onpolicy`: episodes that a student visits, in part steered by the expert (DAgger, Ross et al. 2011)."""
+"""The stage `onpolicy`: episodes of a mixture of student and expert (DAgger, Ross et al. 2011)."""
 
 import json
 from functools import cache
@@ -19,15 +19,15 @@ from acgd.store.stage import Context, Inputs
 from acgd.students.load import load_policy
 
 LOCKSTEP = 10
-"""Episodes run side by side, and the rows of every computation of student and expert."""
+"""Episodes in lockstep, and rows of every computation of student and expert."""
 
 
 def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
-    """Run the mixture of one round and task on its seeds, and keep every episode, solved or not.
+    """Runs the mixture on the seeds of one round and task. Keeps every episode, solved or not.
 
     In each step the expert's mean acts with probability beta ** round, else the student. Writes rollouts.zarr with the
-    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. Goal images are those that an
-    evaluation with `goal: training` takes: ends of demonstrations, chosen by the seed. Finished waves survive a kill.
+    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. The goal images are those of an
+    evaluation with `goal: training`: last frames of demonstrations, chosen by the seed. Each finished wave is saved.
     """
     rounds = request.rounds
     expert = Expert.load(inputs["expert"])
@@ -35,8 +35,8 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
     label = f"on-policy round {request.round}, {request.task.name}"
 
     @cache
-    def run_batch():
-        """Made where a wave is missing: loading the student and making environments takes seconds."""
+    def runner():
+        """The function that runs a wave. Made only if a wave is missing: loading student and environments is slow."""
         student = load_policy(
             inputs["student"], inputs["backbone"], request.acting, ctx.device, LOCKSTEP, weights="last"
         )
@@ -44,15 +44,15 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
         lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)
         chance = rounds.beta**request.round
-        return lambda batch: run_wave(
-            expert, student, lock, batch, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
+        return lambda wave_seeds: run_wave(
+            expert, student, lock, wave_seeds, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
         )
 
     episodes: list[StoredEpisode] = []
     with ctx.progress(len(seeds), label) as bar:
-        for at in range(0, len(seeds), LOCKSTEP):
-            batch = seeds[at : at + LOCKSTEP]
-            episodes += wave(ctx.state, batch, lambda wanted: run_batch()(wanted))
+        for first in range(0, len(seeds), LOCKSTEP):
+            batch = seeds[first : first + LOCKSTEP]
+            episodes += wave(ctx.state, batch, lambda wave_seeds: runner()(wave_seeds))
             bar.update(len(batch), successes=sum(bool(episode["success_final"]) for episode in episodes))
     write_rollouts(ctx.out, request.task, episodes)
     content = _summary(request, episodes)
@@ -70,27 +70,27 @@ def run_wave(
     *,
     labels: bool,
 ) -> list[Episode]:
-    """The episodes of `seeds`, in their order.
+    """Runs the episodes of `seeds`. Returns all of them in this order.
 
-    task: the task's id, as the student counts. chance: that the expert acts, in each step. labels: whether to store the
-    expert's mean in every visited state, as `mean_action`.
+    task: task id of the student. chance: probability in each step that the expert acts. labels: whether to store the
+    expert's mean in every visited state as `mean_action`.
     """
     means = Padded(Mean(expert), LOCKSTEP)
 
-    def beside(step: Step) -> dict[str, np.ndarray]:
+    def extra_arrays(step: Step) -> dict[str, np.ndarray]:
         recorded = {"by_expert": step.memory.by_first}
         if labels:
             recorded["mean_action"] = means.act({"state": step.observations["state"]}, None)[0]
         return recorded
 
-    recorder = Episodes(beside)
+    recorder = Episodes(extra_arrays)
     goals = training_goals(demonstrations, seeds)
     roll(lock, Mixture(means, student, chance), seeds, task=task, goals=goals, recorders=[recorder])
     return recorder.episodes()
 
 
 def _summary(request: OnPolicyRequest, episodes: list[StoredEpisode]) -> dict:
-    """`expert_queries` counts states in which the expert's action was labelled or executed, each once."""
+    """Content of summary.json. expert_queries: number of states whose expert action was stored or executed."""
     successes = sum(bool(episode["success_final"]) for episode in episodes)
     by_expert = sum(int(episode["by_expert"].sum()) for episode in episodes)
     return {

@@ -1,4 +1,4 @@
-"""Demonstrations: how many, and how the expert acts while they are recorded. On-policy episodes of a student."""
+"""Settings and requests of the stages `rollouts` and `onpolicy`."""
 
 from typing import Any, Literal
 
@@ -13,31 +13,35 @@ class RolloutsConfig(Section):
     """Successful expert episodes of one task."""
 
     demonstrations: int = Field(
-        50, ge=1, description="Successful episodes to keep. Success is `final`: solved at the last step."
+        50, ge=1, description="Number of successful episodes. Success is `final`: solved at the last step."
     )
     acting: Literal["stochastic", "mean"] = Field(
-        "mean", description="The expert samples its own policy, or acts by the mean. The mean is stored beside either."
+        "mean",
+        description="Actions of the expert. stochastic: samples of its policy. mean: its mean action. The mean is "
+        "stored in both cases.",
     )
     noise: float = Field(
         0.1,
         ge=0.0,
         description="Standard deviation of Gaussian noise added to every action, before clipping to [-1, 1].",
     )
-    keep_failures: bool = Field(False, description="Store the failed episodes too, in the group `failures`.")
-    seed_offset: int = Field(0, ge=0, description="Skip so many of the seeds set aside for demonstrations.")
+    keep_failures: bool = Field(False, description="Also store the failed episodes, in the group `failures`.")
+    seed_offset: int = Field(0, ge=0, description="Number of skipped seeds of the range for demonstrations.")
     attempts: int = Field(
-        4, ge=1, description="Give up after attempts x demonstrations episodes, with an error that names the mend."
+        4,
+        ge=1,
+        description="The stage fails after attempts x demonstrations episodes, with an error that names the mend.",
     )
     lockstep: int = Field(
         10,
         ge=1,
-        description="Episodes run side by side, with one batched inference. Batching can change the last bit of an "
+        description="Episodes in lockstep, with one batched inference. Another value can change the last bit of an "
         "action.",
     )
 
 
 class RolloutsRequest(Request):
-    """What the stage `rollouts` depends on, besides the expert."""
+    """Request of the demonstrations of one task."""
 
     task: TaskConfig
     image: ImageConfig = Field(ImageConfig(), description="Pictures of all tasks.")
@@ -45,14 +49,14 @@ class RolloutsRequest(Request):
 
 
 class OnPolicyRequest(Request):
-    """What the episodes of one round and task depend on, besides student, expert and demonstrations."""
+    """Request of the on-policy episodes of one round and task."""
 
     task: TaskConfig
     image: ImageConfig
-    acting: ActingConfig = Field(ActingConfig(), description="How students act, in rounds and in evaluations.")
+    acting: ActingConfig = Field(ActingConfig(), description="Actions of students, in rounds and in evaluations.")
     rounds: RoundEpisodes
-    round: int = Field(ge=1, description="Number of the round. The student is that of the round before.")
-    seed: int = Field(ge=0, description="Seed of the student. Students of different seeds begin at different episodes.")
+    round: int = Field(ge=1, description="Number of the round. The student is that of the previous round.")
+    seed: int = Field(ge=0, description="Student seed. It determines the seeds of the episodes.")
 
     @field_validator("rounds", mode="before")
     @classmethod

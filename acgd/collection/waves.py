@@ -1,4 +1,4 @@
-"""What the stages that collect episodes share: waves that survive a kill, and the store that is made of them."""
+"""Waves of episodes, which are saved one by one, and the rollout store that is written from them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,12 +19,13 @@ STORE = "rollouts.zarr"
 
 @dataclass(frozen=True)
 class StoredEpisode:
-    """An episode of a wave on disk; read array by array, since all images together may not fit."""
+    """An episode of a saved wave. Each access reads one array, since all images together may exceed the memory."""
 
     file: Path
     index: int
 
     def names(self) -> list[str]:
+        """Names of the arrays."""
         with safe_open(self.file, "numpy") as arrays:
             return [name.partition("/")[2] for name in arrays.keys() if name.startswith(f"{self.index}/")]
 
@@ -34,7 +35,7 @@ class StoredEpisode:
 
 
 def wave(state: Path, seeds: Sequence[int], run: Callable[[list[int]], list[Episode]]) -> list[StoredEpisode]:
-    """The episodes of `seeds`: those that a file in `state` holds from before a kill, else those that `run` gives."""
+    """The episodes of `seeds`: read from a file in `state` if it exists, else run by `run` and saved there."""
     file = state / f"wave-{seeds[0]}.safetensors"
     if not file.exists():
         episodes = enumerate(run(list(seeds)))
@@ -46,7 +47,7 @@ def wave(state: Path, seeds: Sequence[int], run: Callable[[list[int]], list[Epis
 def write_rollouts(
     out: Path, task: TaskConfig, episodes: Sequence[StoredEpisode], failures: Sequence[StoredEpisode] = ()
 ) -> None:
-    """rollouts.zarr (arrays: docs/rollouts.md). `failures`, where there are any, go into the group of that name."""
+    """Writes rollouts.zarr (arrays: docs/rollouts.md). `failures` go into the group of that name."""
     layout = registry.make(task, image_size=None).state_layout
     attributes = {
         "task": task.name,
@@ -59,17 +60,17 @@ def write_rollouts(
 
 
 def reward_terms(episode: StoredEpisode) -> list[str]:
-    """Names of the reward's terms, in the order of the columns of `reward_terms`."""
+    """Names of the reward's terms, in the order of the columns of the array `reward_terms`."""
     return sorted(name.removeprefix(TERMS) for name in episode.names() if name.startswith(TERMS))
 
 
 def stack_episodes(episodes: Sequence[StoredEpisode]) -> dict[str, np.ndarray]:
-    """The arrays of the store: per-step arrays end to end (T, ...), the others stacked (E, ...)."""
+    """The arrays of the store: per-step arrays concatenated (T, ...), per-episode arrays stacked (E, ...)."""
     names = [name for name in episodes[0].names() if not name.startswith(TERMS)]
     stacked = {}
     for name in names:
-        once = name in ONCE or name.startswith((FINAL, FIELDS))
-        stacked[name] = (np.stack if once else np.concatenate)([episode[name] for episode in episodes])
+        per_episode = name in ONCE or name.startswith((FINAL, FIELDS))
+        stacked[name] = (np.stack if per_episode else np.concatenate)([episode[name] for episode in episodes])
     terms = [np.concatenate([episode[TERMS + name] for episode in episodes]) for name in reward_terms(episodes[0])]
     stacked["reward_terms"] = np.stack(terms, axis=1)
     stacked["episode_ends"] = np.cumsum([len(episode["reward"]) for episode in episodes]).astype(np.int64)
@@ -77,5 +78,5 @@ def stack_episodes(episodes: Sequence[StoredEpisode]) -> dict[str, np.ndarray]:
 
 
 def steps(episodes: Sequence[StoredEpisode]) -> int:
-    """Environment steps of all episodes together."""
+    """Sum of the environment steps of all episodes."""
     return sum(len(episode["reward"]) for episode in episodes)

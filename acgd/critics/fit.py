@@ -1,4 +1,4 @@
-"""The critic stage: Q of a frozen expert."""
+"""The critic stage: Q(s, a) of a frozen expert."""
 
 from acgd.critics.kinds import CRITICS
 from acgd.critics.settings import CriticRequest

@@ -1,4 +1,4 @@
-"""Fitted Q evaluation: the ensemble regresses targets that it recomputes itself, with the expert frozen."""
+"""Fitted Q evaluation: an ensemble regresses targets that are computed from its own values, with a frozen expert."""
 
 import math
 from pathlib import Path
@@ -16,29 +16,17 @@ from acgd.store import checkpoint
 
 ROWS_AT_ONCE = 8192
 STD_FLOOR = 1e-3
-"""Of a state's entry: below it the entry is taken for a constant."""
-NEAREST = 0.1
-"""Share of the median distance between two actions that is added to each: the closest would else have all the
-weight."""
+"""An entry of the state with a standard deviation below this is treated as a constant."""
+DISTANCE_OFFSET = 0.1
+"""Share of the median distance between two actions that is added to each distance. Without it the closest pair would
+have all the weight."""
 
 
 class FittedQ:
-    """The state of the fit: critic, optimiser, targets, generator and the number of updates done.
+    """The state of the fit: critic, optimiser, targets, generator and number of updates.
 
-    Every `target_every` updates Q_target becomes Q, and y is recomputed for all transitions at once. That is cheaper
-    than a pass of a target network in every update, and the same method. The loss is the sum of two regressions, both
-    in standardised returns:
-    - (Q(s, a) - y)^2 over all transitions;
-    - (dQ - dz)^2 / unit^2 over branched states. The value of the state, which dominates the first, is not in it.
-      `within_state_unit: spread`: d is the difference from the mean over the actions tried in that state, and the unit
-      is the spread of z in the state. `distance`: d is the difference of two of these actions, and the unit is their
-      distance times the slope of z in the state. Under `spread`, actions far from the expert's, whose returns differ
-      most, drown the order of those near it.
-
-    z is y with one bootstrap for all branches of the state, the mean over those that did not terminate. The expert has
-    brought the branches together by then, and what Q_target still sees between them is its own error: on myo/reach,
-    16-step branches rank actions at .95 of the full returns with z, at .74 with y.
-    The advantage of a dueling critic is in units of the median spread of z in a state.
+    The loss regresses y over all transitions, and differences of z between the actions of one branched state. Both are
+    in standardised returns. Equations: docs/method.md, "Fitted Q evaluation".
     """
 
     def __init__(self, data: Transitions, config: FQESettings, gamma: float, device: torch.device) -> None:
@@ -51,9 +39,9 @@ class FittedQ:
         self.state, self.action, self.next_state, self.next_action = (
             torch.from_numpy(array).to(device) for array in (data.state, data.action, data.next_state, data.next_action)
         )
-        self.used, self.slot = torch.unique(self.targets.bootstrap, return_inverse=True)
+        self.bootstrap_rows, self.bootstrap_index = torch.unique(self.targets.bootstrap, return_inverse=True)
         self.groups = branched_rows(data.branch, config.branches.actions).to(device)
-        """(G, K) rows of the first actions tried in each branched state."""
+        """(G, K) long: rows of the K actions of each of G branched states."""
         self.distance = self._distances() if config.within_state_unit == "distance" and len(self.groups) else None
         dims = data.state.shape[1], data.action.shape[1]
         self.critic = Critic(
@@ -67,7 +55,11 @@ class FittedQ:
         self.y = self.z = torch.empty(0)
 
     def _normalise(self, data: Transitions, gamma: float) -> None:
-        """States by their mean and std over the data; returns by those of rewards continued at the last one's level."""
+        """Sets the normalisers of the critic.
+
+        States: mean and standard deviation over the data. Returns: those of the summed rewards, continued for ever at
+        the level of the last reward.
+        """
         critic = self.critic
         critic.state_mean.copy_(torch.from_numpy(data.state.mean(0)))
         std = torch.from_numpy(data.state.std(0))
@@ -78,8 +70,10 @@ class FittedQ:
         critic.scale.copy_(returns.std().clamp_min(1e-6))
 
     def update(self) -> dict[str, float]:
-        """One gradient step. Returns losses and targets, in standardised returns, every `target_every` updates, else
-        nothing."""
+        """One gradient step.
+
+        Returns losses in standardised returns and statistics of the targets, every `target_every` updates; else {}.
+        """
         losses = {}
         if self.step % self.config.target_every == 0:
             losses = self.refresh()
@@ -88,15 +82,15 @@ class FittedQ:
             group["lr"] = config.lr * 0.5 * (1 + math.cos(math.pi * self.step / config.updates))
         rows = torch.randint(len(self.state), (config.batch,), generator=self.generator).to(self.device)
         if len(self.groups) and config.within_state:
-            picked = torch.randint(len(self.groups), (config.branch_batch,), generator=self.generator).to(self.device)
-            rows = torch.cat([rows, self.groups[picked].flatten()])
-        q = critic.network(self._blurred(critic.normalise(self.state[rows])), self.action[rows])
+            states = torch.randint(len(self.groups), (config.branch_batch,), generator=self.generator).to(self.device)
+            rows = torch.cat([rows, self.groups[states].flatten()])
+        q = critic.network(self._with_state_noise(critic.normalise(self.state[rows])), self.action[rows])
         value_loss = (q - self.y[:, rows]).square().mean(1).sum()
         loss = value_loss
         if len(self.groups) and config.within_state:
-            inner = q[:, config.batch :].unflatten(1, (config.branch_batch, -1))
-            inner = (self._differences(inner) - self.difference[picked]) / self.unit[picked]
-            branch_loss = inner.square().mean((1, 2)).sum()
+            branch_q = q[:, config.batch :].unflatten(1, (config.branch_batch, -1))
+            error = (self._differences(branch_q) - self.difference[states]) / self.unit[states]
+            branch_loss = error.square().mean((1, 2)).sum()
             loss = loss + config.within_state * branch_loss
             if losses:
                 losses["branch_loss"] = float(branch_loss.detach()) / config.members
@@ -108,42 +102,45 @@ class FittedQ:
             losses["value_loss"] = float(value_loss.detach()) / config.members
         return losses
 
-    def _blurred(self, state: Tensor) -> Tensor:
-        """Adds noise to normalised states (batch + G' K, S): one draw per state, shared by its K actions. This
-        regularises the advantage."""
+    def _with_state_noise(self, state: Tensor) -> Tensor:
+        """Adds Gaussian noise to normalised states (batch + g * K, S): one draw per state, shared by its K actions."""
         if not self.config.state_noise:
             return state
-        single, actions = self.config.batch, self.config.branches.actions
-        noise = torch.randn(single + (len(state) - single) // actions, state.shape[1], generator=self.generator).to(
-            self.device
-        )
+        batch_rows, actions = self.config.batch, self.config.branches.actions
+        noise = torch.randn(
+            batch_rows + (len(state) - batch_rows) // actions, state.shape[1], generator=self.generator
+        ).to(self.device)
         return state + self.config.state_noise * torch.cat(
-            [noise[:single], noise[single:].repeat_interleave(actions, 0)]
+            [noise[:batch_rows], noise[batch_rows:].repeat_interleave(actions, 0)]
         )
 
     @torch.no_grad()
     def refresh(self) -> dict[str, float]:
-        """Q_target becomes Q, and y (M, N) is recomputed, in standardised returns."""
+        """Sets Q_target to Q, recomputes y (M, N) and z (G, K) in standardised returns, and returns statistics."""
         value = self.next_value()
         returns = self.targets.reward_sum + self.targets.discount * value
         y = (returns - self.critic.shift) / self.critic.scale
-        moved = float((y - self.y).square().mean().sqrt()) if self.y.numel() else float("nan")
+        target_shift = float((y - self.y).square().mean().sqrt()) if self.y.numel() else float("nan")
         self.y, z = y, branch_targets(self.targets, value, self.groups) / self.critic.scale
         if self.step == 0 and self.config.dueling and len(z):
             self.critic.advantage_unit.copy_(z.std(1).median().clamp_min(1e-6))
         self._set_branch_targets(z)
-        return {"target_shift": moved, "target_mean": float(returns.mean()), "target_std": float(returns.std())}
+        return {"target_shift": target_shift, "target_mean": float(returns.mean()), "target_std": float(returns.std())}
 
     @torch.no_grad()
     def next_value(self) -> Tensor:
-        """Q(s', pi_E(s')) of the state that each row is bootstrapped from, (M, N) in reward units."""
+        """Q(s', pi_E(s')) of the state that each row bootstraps from, (M, N) in reward units."""
         value = torch.cat(
-            [self.critic(self.next_state[rows], self.next_action[rows]) for rows in self.used.split(ROWS_AT_ONCE)], 1
+            [
+                self.critic(self.next_state[rows], self.next_action[rows])
+                for rows in self.bootstrap_rows.split(ROWS_AT_ONCE)
+            ],
+            1,
         )
-        return value[:, self.slot]
+        return value[:, self.bootstrap_index]
 
     def _set_branch_targets(self, z: Tensor) -> None:
-        """z (G, K), in standardised returns but for a constant."""
+        """z (G, K), in standardised returns up to a constant. Sets the differences of z and their unit."""
         self.z = z
         if not len(z):
             return
@@ -152,18 +149,20 @@ class FittedQ:
             spread, distance = z.std(1), 1.0
         else:
             spread, distance = (self.difference / self.distance).square().mean(1).sqrt(), self.distance
-        # States in which the action hardly matters would otherwise teach their noise.
+        # Without the median, states in which the action hardly matters would teach their noise.
         self.unit = (spread + spread.median()).clamp_min(1e-6)[:, None] * distance
 
     def _distances(self) -> Tensor:
-        """(G, P) between the actions of each of the P pairs of a branched state, as the critic reads them"""
-        inputs = to_critic_input(self.action[self.groups], self.config.action_space)
-        distance = self._differences(inputs.movedim(2, 0)).norm(dim=0)
-        return distance + NEAREST * distance.median()
+        """(G, P) distances between the two actions of each of P pairs, in the action space of the critic."""
+        critic_inputs = to_critic_input(self.action[self.groups], self.config.action_space)
+        distance = self._differences(critic_inputs.movedim(2, 0)).norm(dim=0)
+        return distance + DISTANCE_OFFSET * distance.median()
 
     def _differences(self, values: Tensor) -> Tensor:
-        """(..., K) of the actions of a branched state -> (..., K) from their mean, or (..., P) between the two of each
-        pair."""
+        """Values (..., K) of the actions of a branched state -> differences, by `within_state_unit`.
+
+        spread: (..., K), each from their mean. distance: (..., P), between the two of each pair.
+        """
         if self.config.within_state_unit == "spread":
             return values - values.mean(-1, keepdim=True)
         first, second = torch.triu_indices(values.shape[-1], values.shape[-1], 1)
@@ -172,14 +171,14 @@ class FittedQ:
     # -- checkpoint --------------------------------------------------------------------------------
 
     def save(self, state: Path) -> None:
-        """Writes everything that the next updates depend on into the folder `state`."""
+        """Writes a checkpoint into the folder `state`: everything that the next updates depend on."""
         tensors = {f"critic.{name}": value for name, value in self.critic.state_dict().items()}
         tensors |= checkpoint.moments_of(self.optimiser, "optimiser.")
         tensors |= {"y": self.y, "z": self.z, "generator": self.generator.get_state()}
         checkpoint.save(state, tensors, {"step": self.step})
 
     def resume(self, state: Path) -> None:
-        """Goes on from what `save` wrote, if anything, to the same bytes as if never stopped."""
+        """Loads the checkpoint in `state`, if any. A resumed fit gives the same bytes as an uninterrupted one."""
         saved = checkpoint.load(state)
         if saved is None:
             return
@@ -193,15 +192,20 @@ class FittedQ:
 
 
 def branch_targets(targets: Targets, next_value: Tensor, groups: Tensor) -> Tensor:
-    """z (G, K) in reward units: the rewards of each branch, and one bootstrap for the branches of a state."""
+    """z (G, K) in reward units: summed rewards of each branch, and one bootstrap for all branches of a state.
+
+    next_value: (M, N). groups: (G, K) long, rows of the branches.
+    """
     discount = targets.discount[groups]
     alive = (discount > 0).float()
-    common = (next_value.mean(0)[groups] * alive).sum(1, keepdim=True) / alive.sum(1, keepdim=True).clamp_min(1)
-    return targets.reward_sum[groups] + discount * common
+    shared_bootstrap = (next_value.mean(0)[groups] * alive).sum(1, keepdim=True) / alive.sum(1, keepdim=True).clamp_min(
+        1
+    )
+    return targets.reward_sum[groups] + discount * shared_bootstrap
 
 
 def branched_rows(branch: np.ndarray, actions: int) -> Tensor:
-    """(N,) numbers of branched states by row -> (G, K) rows; every branched state has K = `actions` of them."""
+    """branch (N,) as in Transitions -> (G, K) rows of K = `actions` each. ValueError where K does not divide them."""
     rows = np.flatnonzero(branch != ROLLOUT)
     if len(rows) % actions:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Fitted Q evaluation: gather what the frozen expert meets, and fit Q to it."""
+"""Critic source `fqe`: simulates the frozen expert, and fits Q to its transitions."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from acgd.store.stage import Context
 from acgd.tasks.spec import TASKS
 
 VISITS_PER_BRANCH = 3
-"""States kept to come back to, for each one that is drawn from them."""
+"""Visited states that are kept for each state that branches start from."""
 
 
 def fit(request: CriticRequest, expert: Path, ctx: Context) -> None:
@@ -37,7 +37,10 @@ def fit(request: CriticRequest, expert: Path, ctx: Context) -> None:
 
 
 def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, progress: Progress) -> Transitions:
-    """Rollouts, then branches off states that they passed."""
+    """Transitions of rollouts, and of branches that start from states of these rollouts.
+
+    limit: control steps of an episode. ValueError where the rollouts visited too few states.
+    """
     branch = settings.branches
     with progress(settings.steps, "critic: rollouts, steps") as bar:
         data, visits, _ = rollouts(
@@ -60,7 +63,7 @@ def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, pr
         )
     rng = np.random.default_rng([settings.seed, 0])
     chosen = [visits[i] for i in rng.choice(len(visits), branch.states, replace=False)]
-    actions = _some_of(
+    actions = _subset_of_actions(
         candidates(expert, np.stack([visit.state for visit in chosen]), max(branch.actions, 1 + len(CANDIDATES)), rng)[
             0
         ],
@@ -68,20 +71,19 @@ def gather(lock: Lockstep, expert: Expert, limit: int, settings: FQESettings, pr
         rng,
     )
     with progress(actions.shape[0] * branch.actions * branch.steps, "critic: branches, steps at most") as bar:
-        tried = branches(lock, expert, chosen, actions, branch.steps, bar)
-    return concatenate([data, tried])
+        branch_data = branches(lock, expert, chosen, actions, branch.steps, bar)
+    return concatenate([data, branch_data])
 
 
-def _some_of(actions: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(V, K, A) -> (V, count, A): in each state the first action, which is the expert's mean, and others drawn at
-    random."""
+def _subset_of_actions(actions: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(V, K, A) -> (V, count, A): the first action of each state, which is the expert's mean, and random others."""
     others = np.argsort(rng.random(actions.shape[:2])[:, 1:], 1)[:, : count - 1] + 1
-    picked = np.concatenate([np.zeros((len(actions), 1), int), others], 1)
-    return np.take_along_axis(actions, picked[:, :, None], 1)
+    columns = np.concatenate([np.zeros((len(actions), 1), int), others], 1)
+    return np.take_along_axis(actions, columns[:, :, None], 1)
 
 
 def _train(fitted: FittedQ, ctx: Context) -> None:
-    """All updates, from the last checkpoint on."""
+    """Runs all remaining updates, with checkpoints."""
     settings = fitted.config
     fitted.resume(ctx.state)
     ctx.metrics.rewind(fitted.step)

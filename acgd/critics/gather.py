@@ -1,4 +1,4 @@
-"""Rollouts of the frozen expert, clean and perturbed, failures kept, and branches off the states that they pass."""
+"""Rollouts of the frozen expert, clean and perturbed, with failures kept, and branches from the visited states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from acgd.store.progress import Bar
 from acgd.tasks.snapshot import Snapshot
 
 CANDIDATES = (("sample", 0.0), ("gaussian", 0.1), ("gaussian", 0.2), ("gaussian", 0.4), ("uniform", 0.0))
-"""Sources of candidate actions, in turn, after the expert's mean: its own sample, noise around the mean, anywhere."""
+"""Sources of candidate actions after the expert's mean, in turn, and their standard deviations."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """A state that a rollout passed, to come back to."""
+    """A state of a rollout that branches can start from."""
 
     episode: int
     kind: Kind
@@ -39,7 +39,7 @@ def rollouts(
     seeds: SeedRange,
     *,
     limit: int,
-    beyond: int = 0,
+    extra_steps: int = 0,
     episodes: int | None = None,
     steps: int | None = None,
     visit_rate: float = 0.0,
@@ -48,40 +48,43 @@ def rollouts(
 ) -> tuple[Transitions, list[Visit], list[Kind]]:
     """Follows the expert's mean plus each episode's perturbation for `limit` steps, or until the simulator terminates.
 
-    Clean episodes go on for `beyond` more steps, for the tails of their returns. Gathers `episodes`, or as many as make
-    `steps` simulator steps. A step before `limit` becomes a `Visit` with probability `visit_rate`, the first one in any
-    case. Chance depends on `seed` and the number of the episode alone. Returns the kinds by episode.
+    Clean episodes have `extra_steps` more steps, for the tails of their returns. The function runs `episodes` episodes,
+    or as many as give `steps` simulator steps. A step before `limit` becomes a `Visit` with probability `visit_rate`;
+    the first step of an episode always does. Random numbers depend on `seed` and the number of the episode alone.
+    Returns transitions, visits, and the perturbation of each episode.
     """
     for env in lock.envs:
-        env.ignore_time_limit = True  # `limit` ends an episode here
-    log, visits, given, kind = TransitionLog(), [], [], kinds(perturbation)
+        env.ignore_time_limit = True  # `roll` ends an episode at its limit
+    log, visits, episode_kinds, kind_iterator = TransitionLog(), [], [], kinds(perturbation)
     action_dim = lock.envs[0].action_space.shape[0]
-    while len(given) < episodes if episodes is not None else log.steps < steps:
-        count = len(lock.envs) if episodes is None else min(len(lock.envs), episodes - len(given))
-        first, before = len(given), log.steps
-        new = [next(kind) for _ in range(count)]
-        given += new
+    while len(episode_kinds) < episodes if episodes is not None else log.steps < steps:
+        count = len(lock.envs) if episodes is None else min(len(lock.envs), episodes - len(episode_kinds))
+        first, before = len(episode_kinds), log.steps
+        batch_kinds = [next(kind_iterator) for _ in range(count)]
+        episode_kinds += batch_kinds
         rngs = [np.random.default_rng([seed, episode]) for episode in range(first, first + count)]
-        noise = np.stack([offsets(k, limit + beyond, action_dim, perturbation, rng) for k, rng in zip(new, rngs)])
+        noise = np.stack(
+            [offsets(k, limit + extra_steps, action_dim, perturbation, rng) for k, rng in zip(batch_kinds, rngs)]
+        )
         visited = np.stack([(rng.random(limit) < visit_rate) | (np.arange(limit) == 0) for rng in rngs])
-        keeper = VisitRecorder(first, new, visited)
+        visit_recorder = VisitRecorder(first, batch_kinds, visited)
         roll(
             lock,
             Offset(Mean(expert), noise),
             seeds.take(count, offset=first),
-            limits=np.array([limit + beyond * (name == "clean") for name, _ in new]),
-            recorders=[keeper, log.batch(on_policy=~noise.any(-1))],
+            limits=np.array([limit + extra_steps * (name == "clean") for name, _ in batch_kinds]),
+            recorders=[visit_recorder, log.batch(on_policy=~noise.any(-1))],
         )
-        visits += keeper.visits
+        visits += visit_recorder.visits
         bar.update(log.steps - before)
-    return log.transitions(expert), visits, given
+    return log.transitions(expert), visits, episode_kinds
 
 
 class VisitRecorder(Recorder):
-    """Keeps the states of one batch that are to be visited again."""
+    """Keeps the chosen states of one batch of episodes."""
 
     def __init__(self, first: int, kinds: list[Kind], visited: np.ndarray) -> None:
-        """first: number of the batch's first episode. visited: (n, T) bool, which steps' states are kept."""
+        """first: number of the batch's first episode. visited: (n, T) bool, the steps whose states are kept."""
         self.first, self.kinds, self.visited = first, kinds, visited
         self.visits: list[Visit] = []
 
@@ -99,10 +102,10 @@ class VisitRecorder(Recorder):
 def branches(
     lock: Lockstep, expert: Expert, visits: Sequence[Visit], actions: np.ndarray, steps: int, bar: Bar
 ) -> Transitions:
-    """V * K episodes of `steps`: from each of V visited states each of K first actions, then the expert's mean.
+    """V * K episodes of `steps` steps: each of K first actions from each of V states, then the expert's mean.
 
-    actions: (V, K, A). Episodes lie state by state, action by action; the first row of each carries the number of its
-    state. Time limits are ignored; termination is not.
+    actions: (V, K, A). Episodes are ordered by state, then by action. The first row of each episode holds the number of
+    its state in `branch`. Episodes ignore the time limit, and end where the simulator terminates.
     """
     for env in lock.envs:
         env.ignore_time_limit = True
@@ -116,7 +119,7 @@ def branches(
         roll(
             lock,
             FirstThen(first[batch], Mean(expert)),
-            range(at, at + count),  # nothing here draws from them
+            range(at, at + count),  # neither policy draws from the seeds
             snapshots=[visits[v].snapshot for v in state_of[batch]],
             limits=np.full(count, steps),
             recorders=[log.batch(on_policy, state_of[batch])],
@@ -126,12 +129,12 @@ def branches(
 
 
 def candidates(expert: Expert, state: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
-    """Candidate actions in each of V states (V, S), and their sources.
+    """Candidate actions (V, count, A) in [-1, 1] for states (V, S), and the `count` names of their sources.
 
-    The actions are (V, count, A) in [-1, 1], the expert's mean first.
+    The first candidate is the expert's mean.
     """
     mean = expert.mean(state)
-    tried, names = [mean], ["mean"]
+    actions, sources = [mean], ["mean"]
     for k in range(count - 1):
         name, scale = CANDIDATES[k % len(CANDIDATES)]
         if name == "sample":
@@ -140,6 +143,6 @@ def candidates(expert: Expert, state: np.ndarray, count: int, rng: np.random.Gen
             action = np.clip(mean + scale * rng.standard_normal(mean.shape), -1, 1)
         else:
             action = rng.uniform(-1, 1, mean.shape)
-        tried.append(action.astype(np.float32))
-        names.append(f"{name} {scale:g}" if scale else name)
-    return np.stack(tried, 1), names
+        actions.append(action.astype(np.float32))
+        sources.append(f"{name} {scale:g}" if scale else name)
+    return np.stack(actions, 1), sources

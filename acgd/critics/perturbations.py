@@ -1,4 +1,4 @@
-"""Noise on the expert's action while transitions are gathered: a critic knows only actions that have been executed."""
+"""Noise on the expert's action while transitions are gathered: a critic can judge only actions like executed ones."""
 
 from collections.abc import Iterator
 
@@ -11,28 +11,28 @@ Kind = tuple[str, float]
 
 
 def kinds(config: PerturbationConfig) -> Iterator[Kind]:
-    """The kind of each episode in turn, without chance: always the one that is furthest behind its share."""
+    """The kind of each episode in turn, without random numbers: the kind whose count lies furthest below its share."""
     shares = {"clean": config.clean, "gaussian": config.gaussian, "bursts": config.bursts}
-    given = dict.fromkeys(shares, 0)
+    counts = dict.fromkeys(shares, 0)
     while True:
-        due = {name: share * (sum(given.values()) + 1) - given[name] for name, share in shares.items()}
-        name = max(due, key=due.__getitem__)
+        deficit = {name: share * (sum(counts.values()) + 1) - counts[name] for name, share in shares.items()}
+        name = max(deficit, key=deficit.__getitem__)
         scale = {
             "clean": 0.0,
-            "gaussian": config.scales[given["gaussian"] % len(config.scales)],
+            "gaussian": config.scales[counts["gaussian"] % len(config.scales)],
             "bursts": config.burst_scale,
         }[name]
-        given[name] += 1
+        counts[name] += 1
         yield name, scale
 
 
 def offsets(
     kind: Kind, steps: int, action_dim: int, config: PerturbationConfig, rng: np.random.Generator
 ) -> np.ndarray:
-    """What is added to the expert's mean over an episode, (steps, A) float32; rows of zeros follow the expert.
+    """Offsets (steps, A) float32 that are added to the expert's mean over one episode.
 
-    Noise that is fresh at every step is filtered by the muscles' activation dynamics; an offset held for some
-    steps is not, and leads to states from which the expert has to recover.
+    A row of zeros follows the expert. The activation dynamics of muscles filter noise that changes at every step. An
+    offset that is held for some steps passes, and leads to states from which the expert has to recover.
     """
     name, scale = kind
     noise = np.zeros((steps, action_dim), np.float32)

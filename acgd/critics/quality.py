@@ -1,7 +1,6 @@
-"""How far a critic can be trusted, on episodes that its fit has not seen. The headline is the ranking within one state.
+"""Quality of a critic on held-out episodes. The headline is the rank correlation over actions of one state.
 
-V(s) alone brings a high correlation with returns, and -|a - mu_E|^2 prefers the expert's action; only the order
-of different actions tried in one and the same state asks what the guidance of a student relies on.
+Reasons for this measure: docs/method.md, "Quality of a critic".
 """
 
 import csv
@@ -28,14 +27,13 @@ from acgd.tasks.spec import TASKS
 VISIT_RATE = 0.25
 CONFIDENCE = 0.95
 STREAM = 1
-"""Of the section's seed: chance of states and candidates."""
+"""Second entropy of the generator that draws states and candidates; the first is the section's seed."""
 
 
 def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
-    """{expert, critic} -> quality.json, and within_state.csv with the pairs behind it.
+    """{expert, critic} -> quality.json, and within_state.csv with Q and return of each candidate.
 
-    Returns are of `tail` simulated steps, past the time limit if need be. What is cut off weighs gamma^tail and is
-    nearly the same for all candidates of a state, since the expert brings them together again.
+    Returns sum `tail` simulated steps, past the time limit if needed.
     """
     quality, limit = request.quality, TASKS[request.task.name].horizon
     expert, critic = Expert.load(inputs["expert"]), Critic.load(inputs["critic"]).to(ctx.device)
@@ -48,7 +46,7 @@ def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
             quality.perturbation,
             SEEDS.critic_quality,
             limit=limit,
-            beyond=quality.tail,
+            extra_steps=quality.tail,
             episodes=quality.states,
             visit_rate=VISIT_RATE,
             seed=quality.seed,
@@ -58,10 +56,10 @@ def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
     actions, sources = candidates(expert, np.stack([visit.state for visit in chosen]), quality.candidates, rng)
     steps = actions.shape[0] * actions.shape[1] * quality.tail
     with ctx.progress(steps, "quality: candidate actions, steps at most") as bar:
-        tried = branches(lock, expert, chosen, actions, quality.tail, bar)
-    first = tried.starts
-    returns = discounted(tried, gamma, quality.tail)[first].reshape(actions.shape[:2])
-    q = _values(critic, tried.state[first], tried.action[first]).mean(0).reshape(returns.shape)
+        branch_data = branches(lock, expert, chosen, actions, quality.tail, bar)
+    first_rows = branch_data.starts
+    returns = discounted(branch_data, gamma, quality.tail)[first_rows].reshape(actions.shape[:2])
+    q = _values(critic, branch_data.state[first_rows], branch_data.action[first_rows]).mean(0).reshape(returns.shape)
     near = [k for k, source in enumerate(sources) if source != "uniform"]
     spread = float(critic.spread)
     content = {
@@ -77,25 +75,30 @@ def measure(request: QualityRequest, inputs: Inputs, ctx: Context) -> None:
         "spread": spread,
         "tail": quality.tail,
         "cut_off_weight": gamma**quality.tail,
-        "simulator_steps": len(data) + len(tried),
+        "simulator_steps": len(data) + len(branch_data),
     }
     _write(ctx.out / "within_state.csv", sources, q, returns)
     (ctx.out / "quality.json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 def one_per_episode(visits: list[Visit], rng: np.random.Generator) -> list[Visit]:
-    """One visited state of each episode, so that the states are independent; its first one only where there is no
-    other."""
+    """One random visited state of each episode, so that the states are independent.
+
+    The first state of an episode is chosen only where it is the episode's one visit.
+    """
     by_episode: dict[int, list[Visit]] = {}
     for visit in visits:
         by_episode.setdefault(visit.episode, []).append(visit)
-    return [those[rng.integers(1, len(those))] if len(those) > 1 else those[0] for those in by_episode.values()]
+    return [
+        episode_visits[rng.integers(1, len(episode_visits))] if len(episode_visits) > 1 else episode_visits[0]
+        for episode_visits in by_episode.values()
+    ]
 
 
 def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
-    """(N,) float64, the discounted rewards of the `steps` rows from each on, fewer only where its episode ends before.
+    """(N,) float64: discounted sum of the rewards of `steps` rows from each row on, fewer where its episode ends.
 
-    Every return is cut at the same length: a tail that shrinks towards the end of an episode would be a clock.
+    All returns have the same length. A tail that shrinks towards the end of an episode would encode the time.
     """
     end = np.repeat(data.ends, data.ends - data.starts)
     returns, rows = np.zeros(len(data)), np.arange(len(data))
@@ -106,9 +109,10 @@ def discounted(data: Transitions, gamma: float, steps: int) -> np.ndarray:
 
 
 def interval(values: np.ndarray) -> dict[str, float | int]:
-    """Mean over states and its 95% interval by Student's t; states whose returns are all equal are left out.
+    """Mean over states and its 95% interval by Student's t.
 
-    Of one state or none the interval is that of all correlations, [-1, 1].
+    values: (V,), nan for states whose returns are all equal; these are left out. With fewer than two states the
+    interval is [-1, 1].
     """
     values = values[~np.isnan(values)]
     if len(values) < 2:
@@ -123,15 +127,17 @@ def interval(values: np.ndarray) -> dict[str, float | int]:
 
 
 def bellman_error(critic: Critic, data: Transitions, gamma: float) -> float:
-    """Root mean square of Q(s, a) - r - gamma (1 - terminated) Q(s', pi_E(s')), over the std of that target."""
+    """RMS of Q(s, a) - y, y = r + gamma (1 - terminated) Q(s', pi_E(s')), divided by the standard deviation of y."""
     target = data.reward + gamma * ~data.terminated * _values(critic, data.next_state, data.next_action).mean(0)
     error = _values(critic, data.state, data.action).mean(0) - target
     return float(np.sqrt((error**2).mean()) / max(target.std(), 1e-12))
 
 
 def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: int, gamma: float, tail: int) -> float:
-    """Spearman's correlation between Q and returns over the states of the clean episodes within the time limit; 0 where
-    all returns are equal."""
+    """Spearman's correlation between Q and returns, over the states of clean episodes within the time limit.
+
+    0 where all returns are equal.
+    """
     returns = discounted(data, gamma, tail)
     rows = np.concatenate(
         [
@@ -147,7 +153,7 @@ def _monte_carlo(critic: Critic, data: Transitions, kinds: list[Kind], limit: in
 
 
 def _preferences(sources: list[str], q: np.ndarray, returns: np.ndarray) -> dict[str, dict[str, float]]:
-    """By source of the candidate: how often the expert's mean is better than it, to the critic and in the simulator."""
+    """Source -> share of candidates that are worse than the expert's mean, by the critic and in the simulator."""
     preferences = {}
     for source in dict.fromkeys(sources[1:]):
         columns = [k for k, name in enumerate(sources) if name == source]
@@ -160,13 +166,13 @@ def _preferences(sources: list[str], q: np.ndarray, returns: np.ndarray) -> dict
 
 @torch.no_grad()
 def _values(critic: Critic, state: np.ndarray, action: np.ndarray) -> np.ndarray:
-    """(N, S), (N, A) -> (M, N) in reward units."""
+    """states (N, S), actions (N, A) -> Q (M, N) in reward units."""
     device = critic.spread.device
     return critic(torch.from_numpy(state).to(device), torch.from_numpy(action).to(device)).cpu().numpy()
 
 
 def _write(table: Path, sources: list[str], q: np.ndarray, returns: np.ndarray) -> None:
-    """One row per state and candidate; Q and returns in reward units."""
+    """Writes one row per state and candidate. q, returns: (V, K) in reward units."""
     with open(table, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["state", "source", "q", "return"])

@@ -1,12 +1,14 @@
-"""The order of actions within one state, by one critic and by the simulator. Light: a report imports it, too."""
+"""Rank correlation over actions of one state. This file imports no torch, because the report imports it."""
 
 import numpy as np
 from scipy import stats
 
 
 def rank_correlations(q: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Spearman's correlation over the candidates of each state, (V, K), (V, K) -> (V,); nan where all returns are
-    equal."""
+    """Spearman's correlation over the K candidates of each of V states.
+
+    q, returns: (V, K) -> (V,), nan where all values of a state are equal.
+    """
     ranks = [stats.rankdata(values, axis=1) for values in (q, returns)]
     x, y = (r - r.mean(1, keepdims=True) for r in ranks)
     norm = np.sqrt((x**2).sum(1) * (y**2).sum(1))

@@ -1,4 +1,4 @@
-"""Where the critic of an expert comes from, how it is fitted, and how it is judged."""
+"""Settings of critics: source, fit, and measurement of quality."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from acgd.tasks.settings import TaskConfig
 
 
 class PerturbationConfig(Section):
-    """What is done to the expert's mean action while transitions are gathered, by shares of the simulator steps."""
+    """Perturbation of the expert's mean action while transitions are gathered, in shares of the simulator steps."""
 
     clean: float = Field(0.5, ge=0, le=1, description="Share of steps in episodes that follow the expert's mean.")
     gaussian: float = Field(0.3, ge=0, le=1, description="Share in episodes with fresh Gaussian noise at every step.")
@@ -36,12 +36,12 @@ class PerturbationConfig(Section):
 
 
 class BranchConfig(Section):
-    """Several actions tried from one simulator state, each followed by the expert. They teach the order of actions."""
+    """Branches: several actions from one simulator state, each followed by the expert, to teach the actions' order."""
 
     states: int = Field(
-        500, ge=0, description="States branched from, drawn from the rollouts. 0 fits on rollouts alone."
+        500, ge=0, description="States that branches start from, drawn from the rollouts. 0 fits on rollouts alone."
     )
-    actions: int = Field(4, ge=2, description="Actions tried in each state.")
+    actions: int = Field(4, ge=2, description="Actions in each state.")
     steps: PositiveInt = Field(
         16, description="Simulator steps of a branch, its first action included, before Q is bootstrapped."
     )
@@ -51,7 +51,7 @@ Spread = Annotated[
     Literal["all", "near"],
     Field(
         description="Candidate actions whose Q sets the unit of guidance: all sixteen, of which three are uniform in "
-        "the box, or only those near the expert's."
+        "the box, or only those near the expert's action."
     ),
 ]
 
@@ -63,19 +63,19 @@ class FQESettings(Section):
     members: PositiveInt = Field(2, description="Networks in the ensemble.")
     width: PositiveInt = Field(128, description="Units of a hidden layer.")
     depth: PositiveInt = Field(2, description="Hidden layers.")
-    dueling: bool = Field(True, description="Q = V(s) + A(s, a), a network each; without it one network for both.")
+    dueling: bool = Field(True, description="Q = V(s) + A(s, a) with two networks; false: one network.")
     action_space: Literal["raw", "excitation"] = Field(
-        "excitation", description="Read actions as they are, or as the muscle excitation that MyoSuite makes of them."
+        "excitation", description="Critic input: raw actions, or the muscle excitation of MyoSuite."
     )
     steps: PositiveInt = Field(
-        6000, description="Simulator steps of rollouts, to the end of the last episode; branches come on top."
+        6000, description="Simulator steps of rollouts, to the end of the last episode. Branches add to them."
     )
-    perturbation: PerturbationConfig = PerturbationConfig()
-    branches: BranchConfig = BranchConfig()
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Noise on the expert's actions.")
+    branches: BranchConfig = Field(BranchConfig(), description="Several actions tried in one state.")
     horizon: PositiveInt = Field(
         64,
-        description="Rewards summed before bootstrapping while the expert's mean is followed; 1 is one-step fitted Q "
-        "evaluation.",
+        description="Most rewards summed before bootstrapping, while actions follow the expert's mean. 1 is "
+        "one-step fitted Q evaluation.",
     )
     updates: PositiveInt = Field(5000, description="Gradient steps.")
     batch: PositiveInt = Field(256, description="Transitions in a gradient step, for the regression on y.")
@@ -92,8 +92,8 @@ class FQESettings(Section):
     )
     within_state_unit: Literal["spread", "distance"] = Field(
         "spread",
-        description="Unit of these differences: the spread of the state's returns, or the distance of the two actions "
-        "times the slope of the state's returns, so that actions close to each other count like far ones.",
+        description="Unit of these differences. spread: spread of the state's returns. distance: distance of the two "
+        "actions times the slope of the state's returns, so that close actions weigh as much as distant ones.",
     )
     state_noise: float = Field(
         0.0,
@@ -117,25 +117,25 @@ class FQESettings(Section):
         return self
 
     def files(self, task: str) -> tuple[Path, ...]:
-        """None."""
+        """No files."""
         return ()
 
     def faults(self, task: str, expert: Any) -> Iterator[str]:
-        """None: every expert can be evaluated."""
+        """No messages: every expert can be evaluated."""
         return iter(())
 
 
 class ZooCriticSettings(Section):
-    """The critic in zoo/, which was fitted to the expert there."""
+    """The critic in zoo/, which was fitted to the expert in zoo/."""
 
     kind: Literal["zoo"] = "zoo"
 
     def files(self, task: str) -> tuple[Path, ...]:
-        """The critic."""
+        """Files of the critic."""
         return zoo.fitted_critic(task)
 
     def faults(self, task: str, expert: Any) -> Iterator[str]:
-        """No such critic, or another expert than that of the zoo."""
+        """Messages where the zoo has no critic, or the expert is not that of the zoo."""
         if expert.kind != "zoo":
             yield (
                 f"critic.kind: the critics in zoo/ judge the experts there, and {task} trains one. "
@@ -149,21 +149,20 @@ class ZooCriticSettings(Section):
 
 
 class ExpertCriticSettings(Section):
-    """The critics that an off-policy expert (SAC) has trained beside its policy. Rollouts measure the spread of their
-    Q."""
+    """The critics that an off-policy expert (SAC) trained with its policy. Rollouts measure the spread of their Q."""
 
     kind: Literal["expert"] = "expert"
     steps: PositiveInt = Field(6000, description="Simulator steps of these rollouts, to the end of the last episode.")
-    perturbation: PerturbationConfig = PerturbationConfig()
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Noise on the expert's actions.")
     spread: Spread = "all"
     seed: int = Field(0, ge=0, description="Seed of perturbations and of the actions whose Q is compared.")
 
     def files(self, task: str) -> tuple[Path, ...]:
-        """None."""
+        """No files."""
         return ()
 
     def faults(self, task: str, expert: Any) -> Iterator[str]:
-        """An expert without critics."""
+        """A message where the expert has no critics."""
         if not expert.has_critics(task):
             what = (
                 f"the expert in zoo/ for {task}" if expert.kind == "zoo" else f"the expert that is trained for {task}"
@@ -179,30 +178,30 @@ CriticConfig = one_of(CRITICS, default="fqe")
 
 
 class CriticRequest(Request):
-    """What the critic of one task depends on, besides the expert's artifact."""
+    """Request of the stage `critic`."""
 
     task: TaskConfig
     critic: CriticConfig = Field(FQESettings(), description="Stage `critic`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
-        """The critic in zoo/, where it is taken from there."""
+        """Files of the critic in zoo/, for the source `zoo`."""
         return self.critic.files(self.task.name)
 
 
 class QualityConfig(Section):
-    """How a critic is judged, on episodes that no fit has seen."""
+    """Measurement of a critic's quality on held-out episodes."""
 
     states: int = Field(
         32,
         ge=2,
-        description="Held-out episodes, perturbed; in one state of each, candidate actions are ranked.",
+        description="Held-out perturbed episodes. Candidate actions are ranked in one state of each.",
     )
     candidates: int = Field(16, ge=4, description="Candidate first actions in a state.")
     tail: PositiveInt = Field(
         40,
-        description="Steps simulated per candidate, past the time limit if need be; what is cut off weighs gamma^tail.",
+        description="Steps simulated per candidate, past the time limit if needed. The remainder weighs gamma^tail.",
     )
-    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Of these episodes.")
+    perturbation: PerturbationConfig = Field(PerturbationConfig(), description="Perturbation of these episodes.")
     seed: int = Field(0, ge=0, description="Seed of perturbations, states and candidates.")
 
     @model_validator(mode="after")
@@ -216,7 +215,7 @@ class QualityConfig(Section):
 
 
 class QualityRequest(Request):
-    """What the quality of a critic depends on, besides the artifacts of critic and expert."""
+    """Request of the stage `quality`."""
 
     task: TaskConfig
     quality: QualityConfig = Field(QualityConfig(), description="Stage `quality`, one artifact per task.")

@@ -1,4 +1,4 @@
-"""The environments that an expert is simulated in, and a simulation that a kill does not repeat."""
+"""Environments for the simulation of an expert, and transitions that are simulated once per artifact."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,19 +10,21 @@ from acgd.store.atomic import replace_file
 from acgd.tasks.settings import TaskConfig
 
 ENVIRONMENTS = 8
-"""Side by side in one process: enough to batch the expert, few enough to make."""
+"""Environments in one process: enough to batch the expert, and few enough to construct quickly."""
 
 
 def lockstep(task: TaskConfig, expert: Expert) -> Lockstep:
-    """Environments with the rewards that the expert was trained on."""
+    """Environments with the reward weights of the expert's training, without images."""
     return Lockstep(task, ENVIRONMENTS, image_size=None, reward_weights=expert.meta["reward_weights"])
 
 
 def simulated_once(state: Path, simulate: Callable[[], Transitions]) -> Transitions:
-    """What `simulate` returns. It is kept in the folder `state`, so that a stage that goes on after a kill does not
-    simulate again."""
-    kept = state / "transitions.safetensors"
-    if not kept.exists():
+    """Returns the result of `simulate`, and stores it in the folder `state`.
+
+    A stage that resumes after a kill loads the stored transitions.
+    """
+    file = state / "transitions.safetensors"
+    if not file.exists():
         data = simulate()
-        replace_file(kept, data.save)
-    return Transitions.load(kept)
+        replace_file(file, data.save)
+    return Transitions.load(file)

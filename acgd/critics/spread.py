@@ -1,4 +1,4 @@
-"""The unit of a critic: how far the Q of candidate actions of one state lie apart. Tasks are compared in it."""
+"""Spread of a critic: standard deviation of Q over candidate actions of one state. It is the unit of guidance."""
 
 from pathlib import Path
 from typing import Literal
@@ -15,23 +15,26 @@ from acgd.nn.q_ensemble import Critic
 from acgd.store.key import file_digest
 
 STATES, ACTIONS = 512, 16
-"""States at most that the spread is the median of, and candidate actions in each."""
+"""Largest number of states that the spread is the median of, and candidate actions in each."""
 STREAM = 2
-"""Of a section's seed: chance of the spread."""
+"""Second entropy of the generator of the spread; the first is the section's seed."""
 
 
 def spread(
     critic: Critic, expert: Expert, states: np.ndarray, rng: np.random.Generator, over: Literal["all", "near"] = "all"
 ) -> float:
-    """Standard deviation of Q over candidate actions of one state; the median of some of `states` (N, S), in reward
-    units. `over`: all candidates, or those near the expert's action, which the uniform ones are not."""
+    """Median over states of the standard deviation of Q over candidate actions, in reward units.
+
+    states: (N, S), of which at most STATES are drawn. over: "all" candidates, or those "near" the expert's action,
+    which leaves out the uniform ones.
+    """
     states = states[rng.choice(len(states), min(STATES, len(states)), replace=False)]
     actions, sources = candidates(expert, states, ACTIONS, rng)
     rows = torch.from_numpy(states).repeat_interleave(ACTIONS, 0), torch.from_numpy(actions).flatten(0, 1)
     with torch.no_grad():
         q = critic(*(value.to(critic.spread.device) for value in rows)).mean(0)
-    counted = [k for k, source in enumerate(sources) if over == "all" or source != "uniform"]
-    return max(float(q.view(-1, ACTIONS)[:, counted].std(1).median()), 1e-6)
+    columns = [k for k, source in enumerate(sources) if over == "all" or source != "uniform"]
+    return max(float(q.view(-1, ACTIONS)[:, columns].std(1).median()), 1e-6)
 
 
 def save(
@@ -42,10 +45,9 @@ def save(
     settings: FQESettings | ExpertCriticSettings,
     **meta: object,
 ) -> None:
-    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json into
-    `out`.
+    """Measures the spread of `critic` on the states of `data`, and writes critic.safetensors and critic.json.
 
-    `expert`: folder of the expert. `meta`: what critic.json says besides.
+    expert: folder of the expert. out: folder that the files are written to. meta: further entries of critic.json.
     """
     policy = Expert.load(expert)
     rng = np.random.default_rng([settings.seed, STREAM])

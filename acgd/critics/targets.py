@@ -1,4 +1,4 @@
-"""Targets of fitted Q evaluation: rewards of the expert-following steps after an action, then a bootstrap."""
+"""Targets of fitted Q evaluation: summed rewards of the steps that follow the expert, then a bootstrap."""
 
 from dataclasses import dataclass
 
@@ -9,29 +9,27 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Targets:
-    """y_t = reward_sum_t + discount_t Q_target(s', pi_E(s')), with s' the state after row `bootstrap_t`."""
+    """y_t = reward_sum_t + discount_t Q_target(s', pi_E(s')). s' is the state after row `bootstrap_t`."""
 
     reward_sum: Tensor
     """(N,) sum over j < m_t of gamma^j r_{t+j}, in reward units."""
     discount: Tensor
-    """(N,) gamma^{m_t}, and 0 where the simulator terminated within the m_t steps."""
+    """(N,) gamma^{m_t}; 0 where the simulator terminated within the m_t steps."""
     bootstrap: Tensor
-    """(N,) long, the row t + m_t - 1, whose next state is bootstrapped from."""
+    """(N,) long: row t + m_t - 1. The target bootstraps from its next state."""
 
     def __call__(self, next_value: Tensor) -> Tensor:
-        """Q_target(s', pi_E(s')) of every row's next state, (M, N) -> y (M, N)."""
+        """next_value (M, N), Q_target(s', pi_E(s')) of every row's next state -> y (M, N)."""
         return self.reward_sum + self.discount * next_value[:, self.bootstrap]
 
 
 def targets(
     reward: np.ndarray, terminated: np.ndarray, on_policy: np.ndarray, ends: np.ndarray, gamma: float, horizon: int
 ) -> Targets:
-    """Rows (N,) in episodes that end (exclusive) at `ends`; `on_policy` rows executed the expert's own mean action.
+    """Sums rewards over m_t steps: row t, and the rows directly after it that follow the expert, at most `horizon`.
 
-    The expert and the simulator are deterministic, so after a_t every step that follows the expert is exactly what
-    Q(s_t, a_t) speaks of: m_t = 1 + the number of such steps directly after t, at most `horizon`, needs no
-    off-policy correction. horizon = 1 is y = r + gamma (1 - terminated) Q_target(s', pi_E(s')).
-    A time limit is no termination: Q bootstraps past it.
+    reward, terminated, on_policy: (N,). on_policy rows executed the expert's mean action. ends: (E,) exclusive ends of
+    the episodes. A time limit is no termination. Derivation: docs/method.md, "Targets".
     """
     steps = _steps_followed(on_policy, ends, horizon)
     rows = np.arange(len(reward))
@@ -49,8 +47,7 @@ def targets(
 
 
 def _steps_followed(on_policy: np.ndarray, ends: np.ndarray, horizon: int) -> np.ndarray:
-    """m_t, (N,) int64: the row itself and the expert-following rows directly after it in its episode, at most
-    `horizon`."""
+    """m_t (N,) int64: 1 plus the number of on-policy rows directly after row t in its episode, at most `horizon`."""
     steps = np.ones(len(on_policy), np.int64)
     last = np.zeros(len(on_policy), bool)
     last[np.asarray(ends) - 1] = True

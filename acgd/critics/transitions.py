@@ -1,4 +1,4 @@
-"""Steps of the simulator as a critic is fitted on them, and how they are recorded."""
+"""Transitions for the fit of a critic, and their recorder."""
 
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,13 +11,14 @@ from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.roll import Recorder, Step
 
 ROLLOUT = -1
-"""`branch` of a row that is not the first action of a branch."""
+"""Value of `branch` in rows that are not the first action of a branch."""
 INFERENCE_ROWS = 4096
+"""Rows of one forward pass of the expert."""
 
 
 @dataclass(frozen=True)
 class Transitions:
-    """N rows in E episodes, one after the other. An episode is a rollout, or a branch off one."""
+    """N rows in E consecutive episodes. An episode is a rollout or a branch."""
 
     state: np.ndarray
     """(N, S) float32"""
@@ -28,15 +29,15 @@ class Transitions:
     next_state: np.ndarray
     """(N, S) float32"""
     next_action: np.ndarray
-    """(N, A) float32, pi_E(next_state): the expert is frozen, so this never changes"""
+    """(N, A) float32, pi_E(next_state) of the frozen expert"""
     terminated: np.ndarray
-    """(N,) bool, by the simulator; a time limit is no termination"""
+    """(N,) bool, terminated by the simulator; a time limit is no termination"""
     on_policy: np.ndarray
-    """(N,) bool, the action is the expert's own mean"""
+    """(N,) bool, the action is the expert's mean"""
     branch: np.ndarray
-    """(N,) int64, number of the branched state whose first action this is, or ROLLOUT"""
+    """(N,) int64, number of the branched state in the row of a branch's first action, else ROLLOUT"""
     ends: np.ndarray
-    """(E,) int64, exclusive"""
+    """(E,) int64, exclusive end of each episode"""
 
     def __len__(self) -> int:
         return len(self.reward)
@@ -55,7 +56,7 @@ class Transitions:
 
 
 def concatenate(parts: list[Transitions]) -> Transitions:
-    """The rows of the parts in their order. Only one part may hold branches."""
+    """The rows of all parts, in order. At most one part may hold branches."""
     offsets = np.cumsum([0] + [len(part) for part in parts[:-1]])
     rows = {
         f.name: np.concatenate([getattr(part, f.name) for part in parts])
@@ -66,7 +67,7 @@ def concatenate(parts: list[Transitions]) -> Transitions:
 
 
 class TransitionLog:
-    """Gathers batches of episodes, step by step, and lays them out one after the other."""
+    """Collects batches of episodes step by step, and joins them into transitions."""
 
     def __init__(self) -> None:
         self.steps = 0
@@ -75,25 +76,27 @@ class TransitionLog:
     def batch(self, on_policy: np.ndarray, branch: np.ndarray | None = None) -> "BatchRecorder":
         """A recorder for the next batch of n episodes.
 
-        on_policy: (n, T) bool, steps whose action is the expert's own mean. branch: (n,) numbers of the states that the
-        episodes branch off, if they do.
+        on_policy: (n, T) bool, steps whose action is the expert's mean. branch: (n,) numbers of the states that the
+        episodes branch from; None for rollouts.
         """
         rows: list[list[tuple]] = [[] for _ in on_policy]
         self._episodes += rows
         return BatchRecorder(self, rows, on_policy, branch)
 
     def transitions(self, expert: Expert) -> Transitions:
-        """Every step so far."""
+        """All recorded steps, with the expert's action in each next state."""
         state, action, reward, next_state, terminated, on_policy, branch = zip(
             *(row for episode in self._episodes for row in episode)
         )
-        arrived = np.stack(next_state)
-        means = [expert.mean(arrived[at : at + INFERENCE_ROWS]) for at in range(0, len(arrived), INFERENCE_ROWS)]
+        next_states = np.stack(next_state)
+        means = [
+            expert.mean(next_states[at : at + INFERENCE_ROWS]) for at in range(0, len(next_states), INFERENCE_ROWS)
+        ]
         return Transitions(
             state=np.stack(state),
             action=np.stack(action).astype(np.float32),
             reward=np.asarray(reward, np.float32),
-            next_state=arrived,
+            next_state=next_states,
             next_action=np.concatenate(means),
             terminated=np.asarray(terminated, bool),
             on_policy=np.asarray(on_policy, bool),
@@ -111,7 +114,7 @@ class BatchRecorder(Recorder):
         self.log, self.rows, self.on_policy, self.branch = log, rows, on_policy, branch
 
     def after(self, lock: Lockstep, step: Step) -> None:
-        state, next_state = step.observations["state"], step.arrived["state"]
+        state, next_state = step.observations["state"], step.next_observations["state"]
         for i in step.running:
             branch = self.branch[i] if self.branch is not None and step.number == 0 else ROLLOUT
             on_policy = self.on_policy[i, step.number]

@@ -1,7 +1,7 @@
-"""The stage `controls`: what recordings and the expert do from a student's starts.
+"""The stage `controls`: success of replayed demonstrations and of the expert from a student's starts.
 
-A task that replay solves needs neither vision nor feedback; the expert is the upper bound. Episodes have the same seeds
-as a student's, so that they pair.
+A task that replay solves needs neither vision nor feedback. The expert is the upper bound. The episodes have the same
+seeds as a student's episodes, so that they can be paired.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,30 +25,33 @@ CONTROLS: dict[str, Callable[[Demonstrations, Expert, int], Policy]] = {
     "expert": lambda demonstrations, expert, size: Padded(Mean(expert), size),
     "expert-nominal": lambda demonstrations, expert, size: Padded(Mean(expert), size),
 }
-"""Name -> its policy. `expert-nominal` starts from the suite's nominal start, which on a Fixed task is one episode; the
-others start as the task says."""
+"""Name -> function (demonstrations, expert, lockstep) that makes the control's policy.
+
+`expert-nominal` begins at the suite's nominal start, which is one episode on a Fixed task. The other controls begin at
+the task's start.
+"""
 
 
 def controls(request: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
-    """Runs every control on every task: episodes.jsonl and summary.json, in the format of an evaluation."""
+    """Runs every control on every task. Writes episodes.jsonl and summary.json in the format of an evaluation."""
     settings, size = request.controls, request.controls.lockstep
     ctx.metrics.rewind(-1)
-    chosen = [
-        (place, start, names, seeds_of(start, settings.split, settings.episodes, settings.seed_offset))
-        for place, task in enumerate(request.tasks)
+    groups = [
+        (index, start, names, seeds_of(start, settings.split, settings.episodes, settings.seed_offset))
+        for index, task in enumerate(request.tasks)
         for start, names in _starts(task)
     ]
     episodes: list[Episode] = []
-    with ctx.progress(sum(len(names) * len(seeds) for _, _, names, seeds in chosen), "controls") as bar:
-        for place, start, names, seeds in chosen:
-            demonstrations = Demonstrations.load(inputs["rollouts"][place], ["action", "state"])
-            expert = Expert.load(inputs["expert"][place])
+    with ctx.progress(sum(len(names) * len(seeds) for _, _, names, seeds in groups), "controls") as bar:
+        for index, start, names, seeds in groups:
+            demonstrations = Demonstrations.load(inputs["rollouts"][index], ["action", "state"])
+            expert = Expert.load(inputs["expert"][index])
             lock = Lockstep(start, size, image_size=None)
             for name in names:
                 label = Label(name, start.name, "none", "none", start.start)
                 policy = CONTROLS[name](demonstrations, expert, size)
                 episodes += run(lock, seeds, policy, label, ctx.state, bar)[0]
-            del lock  # before the next one is made: an environment is some 50 MB
+            del lock  # frees memory before the next Lockstep: an environment takes some 50 MB
     write(ctx.out / "episodes.jsonl", episodes)
     about = {"split": settings.split, "seed_offset": settings.seed_offset}
     rows = write_summary(ctx.out / "summary.json", episodes, **about)
@@ -56,7 +59,7 @@ def controls(request: ControlsRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def _starts(task: TaskConfig) -> Iterator[tuple[TaskConfig, list[str]]]:
-    """The starts of a task's controls, and the controls that begin there."""
+    """(start, controls) of a task: each start, and the names of the controls that begin there."""
     nominal = task.model_copy(update={"start": "nominal"})
     if task == nominal:
         yield task, list(CONTROLS)
@@ -66,7 +69,7 @@ def _starts(task: TaskConfig) -> Iterator[tuple[TaskConfig, list[str]]]:
 
 
 def replay(demonstrations: Demonstrations) -> Policy:
-    """The actions of a demonstration that the episode's seed chooses. Blind: it reads no observation."""
+    """A policy that replays the demonstration chosen by the episode's seed. It reads no observation."""
     count = len(demonstrations.seeds)
     return Replay(
         demonstrations.arrays["action"],
@@ -76,9 +79,9 @@ def replay(demonstrations: Demonstrations) -> Policy:
 
 
 def replay_nearest(demonstrations: Demonstrations) -> Policy:
-    """The actions of the demonstration whose first state is nearest to the episode's.
+    """A policy that replays the demonstration whose first state is nearest to the episode's first state.
 
-    Not blind: it reads the privileged state of the start. It has no feedback after that.
+    It reads the privileged state at the start, and no observation after that.
     """
     starts = demonstrations.arrays["state"][demonstrations.episode_starts]
 
@@ -89,9 +92,10 @@ def replay_nearest(demonstrations: Demonstrations) -> Policy:
 
 
 def nearest(states: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """(m,): which of `starts` (E, S) is nearest to each of `states` (m, S).
+    """Index (m,) of the row of `starts` (E, S) that is nearest to each row of `states` (m, S).
 
-    The unit of an entry is its standard deviation over the starts. Entries that all starts share do not count.
+    Each entry is divided by its standard deviation over the starts. Entries that are constant over the starts are
+    ignored.
     """
     spread = starts.std(axis=0)
     varied = spread > 1e-6

@@ -1,8 +1,8 @@
-"""Episodes of an evaluation: how they are run, kept against a kill, and read again.
+"""Episodes of an evaluation: running, saving after each batch, and reading.
 
-An episode's outcome depends on its seed, its policy and its row in the batch, never on the episodes beside it or on
-their number: seeds go to batches in order, `lockstep` at a time, and policies are padded to that many rows. (With
-`image_features: shuffled` it depends on the episode whose image it sees.)
+The outcome of an episode depends on its seed, its policy and its row in the batch. It does not depend on the other
+episodes or on their number: seeds are batched in order, `lockstep` per batch, and policies are padded to that many
+rows. Exception: with `image_features: shuffled` it depends on the episode whose image the policy sees.
 """
 
 import json
@@ -27,21 +27,21 @@ from acgd.tasks.settings import TaskConfig
 
 @dataclass(frozen=True)
 class Label:
-    """What kind of episode it is: who acted, and under which condition."""
+    """Policy and condition of an episode."""
 
     control: str
-    """none for a student; else which control acts: replay, replay-nearest, expert or expert-nominal."""
+    """none for a student; else the control: replay, replay-nearest, expert or expert-nominal."""
     task: str
     goal: str
-    """training, oracle, or none where the policy is given no goal image."""
+    """training, oracle, or none for a policy without a goal image."""
     image_features: str
-    """own, shuffled, or none where the policy sees no image."""
+    """own, shuffled, or none for a policy without images."""
     start: str
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One finished episode. `reward` is its sum under the task's stock weights."""
+    """One finished episode. final, held, once: success by each rule. reward: sum with the task's default weights."""
 
     label: Label
     seed: int
@@ -58,6 +58,7 @@ class Episode:
 
     @classmethod
     def from_json(cls, line: str) -> "Episode":
+        """The episode of one line of episodes.jsonl."""
         row = json.loads(line)
         label = Label(**{name: row.pop(name) for name in Label.__dataclass_fields__})
         return cls(label, seed=row.pop("episode_seed"), reward=row.pop("return"), **row)
@@ -71,7 +72,7 @@ def run_batch(
     task: int = 0,
     goals: np.ndarray | None = None,
 ) -> tuple[list[Episode], np.ndarray]:
-    """The episodes of one batch, and the actions (T, m, A) float32 that were chosen."""
+    """Runs one batch of m seeds. Returns its episodes, and the actions (T, m, A) float32."""
     outcomes = Outcomes()
     roll(lock, policy, seeds, task=task, goals=goals, recorders=[outcomes])
     episodes = [
@@ -98,65 +99,65 @@ def run(
     task: int = 0,
     goals: np.ndarray | None = None,
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
-    """All seeds, batch by batch; batches that `state` holds from before a kill are not run again.
+    """Runs all seeds, batch by batch. Reads finished batches from `state` instead of running them again.
 
-    task: the task's id, as the policy counts. goals: (E, H, W, 3) uint8 goal images of the seeds, or None. Returns the
-    episodes in the order of the seeds, and each seed's actions (steps, A).
+    task: task id of the policy. goals: (E, H, W, 3) uint8 goal images of the seeds, or None. Returns the episodes in
+    the order of the seeds, and seed -> actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)
-    for at in range(0, len(seeds), size):
-        file = state / f"{name}-{at:04d}.safetensors"
+    for first in range(0, len(seeds), size):
+        file = state / f"{name}-{first:04d}.safetensors"
         if not file.exists():
-            shown = None if goals is None else goals[at : at + size]
-            _keep(file, *run_batch(lock, seeds[at : at + size], policy, label, task, shown))
-        ended, chosen = _kept(file)
-        episodes += ended
-        actions |= {e.seed: chosen[: e.steps, i] for i, e in enumerate(ended)}
-        bar.update(len(ended))
+            batch_goals = None if goals is None else goals[first : first + size]
+            _write_batch(file, *run_batch(lock, seeds[first : first + size], policy, label, task, batch_goals))
+        batch, batch_actions = _read_batch(file)
+        episodes += batch
+        actions |= {episode.seed: batch_actions[: episode.steps, i] for i, episode in enumerate(batch)}
+        bar.update(len(batch))
     return episodes, actions
 
 
-def _keep(file: Path, episodes: list[Episode], actions: np.ndarray) -> None:
-    """A finished batch, whole or not at all."""
-    notes = {"episodes": "\n".join(e.to_json() for e in episodes)}
+def _write_batch(file: Path, episodes: list[Episode], actions: np.ndarray) -> None:
+    """Writes a finished batch. actions: (T, m, A)."""
+    notes = {"episodes": "\n".join(episode.to_json() for episode in episodes)}
     replace_file(file, lambda draft: save_file({"actions": np.ascontiguousarray(actions)}, draft, metadata=notes))
 
 
-def _kept(file: Path) -> tuple[list[Episode], np.ndarray]:
+def _read_batch(file: Path) -> tuple[list[Episode], np.ndarray]:
     with safe_open(file, "numpy") as batch:
         lines = batch.metadata()["episodes"].splitlines()
         return [Episode.from_json(line) for line in lines], batch.get_tensor("actions")
 
 
 def write(path: Path, episodes: Iterable[Episode]) -> None:
-    """episodes.jsonl: one line per episode."""
-    path.write_text("".join(e.to_json() + "\n" for e in episodes), encoding="utf-8")
+    """Writes episodes.jsonl: one line per episode."""
+    path.write_text("".join(episode.to_json() + "\n" for episode in episodes), encoding="utf-8")
 
 
 def read(path: Path) -> list[Episode]:
-    """The episodes of an evaluation or of controls."""
+    """Reads episodes.jsonl of an evaluation or of controls."""
     return [Episode.from_json(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def write_actions(path: Path, episodes: list[tuple[Episode, np.ndarray]]) -> None:
-    """A safetensors file with the actions (steps, A) of some episodes, and in its header which episodes these are."""
-    arrays = {f"{at}": np.ascontiguousarray(actions) for at, (_, actions) in enumerate(episodes)}
-    # One entry in the header: safetensors writes several in an order of its own, and bytes would not repeat.
+    """Writes the actions (steps, A) of some episodes as safetensors. The header holds the episodes."""
+    arrays = {f"{index}": np.ascontiguousarray(actions) for index, (_, actions) in enumerate(episodes)}
+    # One entry in the header: safetensors writes several entries in a random order, so that bytes would differ.
     save_file(arrays, path, metadata={"episodes": "\n".join(episode.to_json() for episode, _ in episodes)})
 
 
 def read_actions(path: Path) -> list[tuple[Episode, np.ndarray]]:
-    """What `write_actions` wrote."""
+    """Reads the file of `write_actions`: (episode, actions (steps, A))."""
     with safe_open(path, "numpy") as file:
         lines = file.metadata()["episodes"].splitlines()
-        return [(Episode.from_json(line), file.get_tensor(f"{at}")) for at, line in enumerate(lines)]
+        return [(Episode.from_json(line), file.get_tensor(f"{index}")) for index, line in enumerate(lines)]
 
 
 def seeds_of(task: TaskConfig, split: str, episodes: int, offset: int = 0) -> list[int]:
-    """The seeds of a split from `offset` on.
+    """`episodes` seeds of a split, from `offset` on.
 
-    From the nominal start only those are left that do not repeat an earlier episode.
+    For nominal starts, seeds that repeat the first state of an earlier seed are left out.
     """
     seeds = {"evaluation": SEEDS.evaluation, "validation": SEEDS.validation}[split].take(episodes, offset)
     if task.start == "perturbed":

@@ -1,4 +1,4 @@
-"""The stage `evaluation`: a student on held-out seeds, task by task, under one condition."""
+"""The stage `evaluation`: episodes of a student on held-out seeds, under one condition."""
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from acgd.tasks.settings import TaskConfig
 
 
 def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
-    """Runs the episodes of every task.
+    """Runs the episodes of every task. Writes episodes.jsonl, summary.json and actions.safetensors.
 
-    Writes episodes.jsonl, summary.json, and actions.safetensors: the actions of the first success and the first failure
-    of each task.
+    actions.safetensors holds the actions of the first success and the first failure of each task.
     """
     settings, condition, size = request.evaluation, request.condition, request.evaluation.lockstep
     student = load_policy(
@@ -36,15 +35,15 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     episodes: list[Episode] = []
     filmed: list[tuple[Episode, np.ndarray]] = []
     with ctx.progress(sum(map(len, seeds)), "evaluating") as bar:
-        for place, start in enumerate(starts):
-            goals = goal_images(request, inputs, place, start, seeds[place])
+        for index, start in enumerate(starts):
+            goals = goal_images(request, inputs, index, start, seeds[index])
             lock = Lockstep(start, size, image_size=request.image.size)
             label = Label("none", start.name, condition.goal, condition.image_features, start.start)
             task = student.tasks.index(start.name)
-            ended, actions = run(lock, seeds[place], policy, label, ctx.state, bar, task=task, goals=goals)
-            del lock  # before the next one is made: an environment is some 0.1 GB
-            episodes += ended
-            filmed += [(episode, actions[episode.seed]) for episode in first_of_each_outcome(ended)]
+            task_episodes, actions = run(lock, seeds[index], policy, label, ctx.state, bar, task=task, goals=goals)
+            del lock  # frees memory before the next Lockstep: an environment takes some 0.1 GB
+            episodes += task_episodes
+            filmed += [(episode, actions[episode.seed]) for episode in first_of_each_outcome(task_episodes)]
     write(ctx.out / "episodes.jsonl", episodes)
     write_actions(ctx.out / "actions.safetensors", filmed)
     rows = write_summary(
@@ -60,18 +59,18 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def goal_images(
-    request: EvaluationRequest, inputs: Inputs, place: int, start: TaskConfig, seeds: list[int]
+    request: EvaluationRequest, inputs: Inputs, index: int, start: TaskConfig, seeds: list[int]
 ) -> np.ndarray | None:
-    """The goal images (E, H, W, 3) uint8 of a task's seeds, or None. place: the task's place in the request."""
+    """The goal images (E, H, W, 3) uint8 of a task's seeds, or None. index: of the task in the request."""
     if request.condition.goal == "training":
-        return training_goals(inputs["rollouts"][place], seeds)
+        return training_goals(inputs["rollouts"][index], seeds)
     if request.condition.goal == "oracle":
-        expert = Expert.load(inputs["expert"][place])
+        expert = Expert.load(inputs["expert"][index])
         return oracle_goals(start, expert, seeds, request.evaluation.lockstep, request.image.size)
     return None
 
 
 def first_of_each_outcome(episodes: list[Episode]) -> list[Episode]:
-    """The first `final` success and the first failure, where there is one."""
+    """The first `final` success and the first failure, as far as the episodes have them."""
     firsts = (next((e for e in episodes if e.final == wanted), None) for wanted in (True, False))
     return [episode for episode in firsts if episode is not None]

@@ -1,4 +1,4 @@
-"""Evaluation of a student, the clips of it, and the controls it is read beside."""
+"""Settings and requests of the stages `evaluation`, `clips` and `controls`."""
 
 from typing import Literal
 
@@ -12,23 +12,23 @@ Split = Literal["evaluation", "validation"]
 
 
 class Condition(Section):
-    """One way of running the episodes. Each condition of a student is an artifact of its own."""
+    """Condition of an evaluation. Each condition of a student gives one artifact."""
 
     goal: Literal["training", "oracle", "none"] = Field(
         "training",
-        description="Goal image o_T. training: the last frame of a demonstration of the task, chosen by the episode's "
-        "seed; misleading where the goal varies. oracle: the last frame of the expert's own run from the same seed, "
-        "solved or not. none: no goal image; a student trained without one gets none in any case.",
+        description="Goal image o_T. training: last frame of a demonstration of the task, chosen by the episode's "
+        "seed; misleading where the goal varies. oracle: last frame of the expert's episode from the same seed, solved "
+        "or not. none: no goal image. A student that was trained without goal images never gets one.",
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",
-        description="shuffled: each episode sees the image of another episode at the same time step. What a student "
-        "loses by it, it had from the image.",
+        description="Images of the policy. own: of the episode. shuffled: in each step the image of another episode at "
+        "the same step. The loss of success measures how much the student uses its images.",
     )
     start: Literal["perturbed", "nominal"] | None = Field(
         None,
-        description="Where episodes start, if not as the task says. nominal: the suite's own start; seeds that would "
-        "repeat an episode are left out, so that a Fixed task has one.",
+        description="Start of the episodes; without it, the task's start. nominal: the suite's start. Seeds that would "
+        "repeat an episode are left out, so that a Fixed task has one episode.",
     )
 
 
@@ -38,27 +38,26 @@ class EvaluationConfig(Section):
     episodes: int = Field(25, ge=1, le=1000, description="Episodes per task and condition.")
     split: Split = Field(
         "evaluation",
-        description="Which held-out seeds. Choose settings on validation; evaluation is for the numbers that are "
-        "reported.",
+        description="Held-out seeds. validation: for choosing settings. evaluation: for reported numbers.",
     )
     seed_offset: int = Field(
-        0, ge=0, description="Skip so many seeds of the split, so that a published result has episodes of its own."
+        0, ge=0, description="Number of skipped seeds of the split. It gives a published result unused episodes."
     )
     weights: Literal["best", "last"] = Field(
-        "best", description="The student's weights of least validation loss, or of its last step."
+        "best", description="Weights of the student. best: of least validation error. last: of the last step."
     )
     lockstep: int = Field(
         9,
         ge=1,
         le=256,
-        description="Environments stepped together, some 0.1 GB each, and the rows of every computation of the "
-        "student: always that many, so that an episode does not depend on how many others there are. Another number "
-        "can change the last bit of an action.",
+        description="Environments in lockstep, some 0.1 GB each, and rows of every computation of the student. The "
+        "rows are constant, so that an episode does not depend on the number of others. Another value can change the "
+        "last bit of an action.",
     )
 
 
 class EvaluationRequest(Request):
-    """What the episodes of one student under one condition depend on, besides student and backbone."""
+    """Request of one evaluation: one student under one condition."""
 
     tasks: tuple[TaskConfig, ...] = Field(min_length=1)
     image: ImageConfig = ImageConfig()
@@ -67,20 +66,20 @@ class EvaluationRequest(Request):
     )
     condition: Condition
     acting: ActingConfig = ActingConfig()
-    seed: int = Field(description="Seed of the student, recorded in the summary.")
+    seed: int = Field(description="Student seed, recorded in the summary.")
 
     @model_validator(mode="after")
     def _shuffling_needs_another(self) -> "EvaluationRequest":
         episodes, lockstep = self.evaluation.episodes, self.evaluation.lockstep
         if self.condition.image_features == "shuffled" and 1 in (lockstep, episodes % lockstep):
             raise ValueError(
-                f"image_features: shuffled needs at least two episodes in each lockstep batch; {episodes} episodes in "
-                f"batches of {lockstep} leave one alone. Change evaluation.episodes or evaluation.lockstep."
+                f"{episodes} episodes in lockstep batches of {lockstep} leave one alone, and image_features: shuffled "
+                "needs two episodes in each batch. Change evaluation.episodes or evaluation.lockstep."
             )
         return self
 
     def uses(self, stage: str) -> bool:
-        """Demonstrations and experts are read for goal images alone."""
+        """True for rollouts with goal `training`, and for experts with goal `oracle`."""
         if stage == "rollouts":
             return self.condition.goal == "training"
         if stage == "expert":
@@ -89,29 +88,29 @@ class EvaluationRequest(Request):
 
 
 class ClipsRequest(Request):
-    """What the films of an evaluation depend on, besides the evaluation."""
+    """Request of the films of an evaluation."""
 
     tasks: tuple[TaskConfig, ...] = Field(min_length=1)
 
 
 class ControlsConfig(Section):
-    """Policies from the same starts as a student that see nothing, the start alone, or everything."""
+    """Control policies from a student's starts. They read nothing, the first state only, or the privileged state."""
 
     episodes: int = Field(
         25,
         ge=1,
         le=1000,
-        description="Episodes per task and control; the same as evaluation.episodes, so that they can be paired.",
+        description="Episodes per task and control. Set it like evaluation.episodes, so that episodes can be paired.",
     )
-    split: Split = Field("evaluation", description="Which held-out seeds; the same as evaluation.split.")
+    split: Split = Field("evaluation", description="Held-out seeds. Set it like evaluation.split.")
     seed_offset: int = Field(
-        0, ge=0, description="Skip so many seeds of the split; the same as evaluation.seed_offset."
+        0, ge=0, description="Number of skipped seeds of the split. Set it like evaluation.seed_offset."
     )
-    lockstep: int = Field(9, ge=1, le=256, description="Environments stepped together, some 0.1 GB each.")
+    lockstep: int = Field(9, ge=1, le=256, description="Environments in lockstep, some 0.1 GB each.")
 
 
 class ControlsRequest(Request):
-    """What the controls depend on, besides demonstrations and experts."""
+    """Request of the controls of all tasks."""
 
     tasks: tuple[TaskConfig, ...] = Field(min_length=1)
     controls: ControlsConfig = Field(ControlsConfig(), description="Stage `controls`, one artifact.")

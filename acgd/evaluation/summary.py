@@ -1,4 +1,4 @@
-"""Success rates with their intervals, from episodes."""
+"""Success rates of episodes, with intervals."""
 
 import json
 from collections.abc import Sequence
@@ -11,22 +11,22 @@ from acgd.evaluation.episodes import Episode, Label
 from acgd.simulate.proportion import wilson
 
 RULES = ("final", "held", "once")
-"""Solved at the last step (the headline, as in the paper), for more than five steps, in any step."""
+"""Success rules: solved at the last step (the headline, as in the paper), for more than five steps, in any step."""
 
 
 def success_rows(episodes: Sequence[Episode]) -> list[dict]:
-    """One row per kind of episode and success rule, with the Wilson interval; in the order of first appearance."""
+    """One row per label and success rule, with the Wilson interval, in the order of the first episodes."""
     groups: dict[Label, list[Episode]] = {}
     for episode in episodes:
         groups.setdefault(episode.label, []).append(episode)
     rows = []
     for label, group in groups.items():
         means = {
-            "mean_return": float(np.mean([e.reward for e in group])),
-            "mean_steps": float(np.mean([e.steps for e in group])),
+            "mean_return": float(np.mean([episode.reward for episode in group])),
+            "mean_steps": float(np.mean([episode.steps for episode in group])),
         }
         for rule in RULES:
-            successes = sum(getattr(e, rule) for e in group)
+            successes = sum(getattr(episode, rule) for episode in group)
             rate = wilson(successes, len(group))
             counts = {"rule": rule, "episodes": len(group), "successes": successes}
             rows.append(asdict(label) | counts | {"rate": rate.rate, "low": rate.low, "high": rate.high} | means)
@@ -34,7 +34,7 @@ def success_rows(episodes: Sequence[Episode]) -> list[dict]:
 
 
 def write_summary(path: Path, episodes: Sequence[Episode], **about) -> list[dict]:
-    """summary.json: `about`, and under `success` the rows of `success_rows`, which are returned."""
+    """Writes summary.json: the entries `about`, and the rows of `success_rows` as `success`. Returns the rows."""
     rows = success_rows(episodes)
     path.write_text(json.dumps(about | {"success": rows}, indent=1) + "\n", encoding="utf-8")
     return rows

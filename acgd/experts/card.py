@@ -1,4 +1,4 @@
-"""The card stage: what an expert is, how it was trained, and how well it does on held-out seeds."""
+"""The card stage: origin, training and held-out success of an expert."""
 
 import csv
 import importlib.metadata
@@ -20,53 +20,58 @@ from acgd.tasks.settings import TaskConfig
 
 POLICY, CRITIC = zoo.POLICY[0], zoo.CRITIC[0]
 DESCRIPTION = ("task", "algorithm", "steps", "seed", "settings", "reward_weights")
-"""Entries of a card that no measurement changes."""
+"""Entries of a card that do not depend on a measurement."""
 PACKAGES = ("mujoco", "myosuite", "myo-sim", "stable-baselines3", "torch")
-"""Packages whose version may change what a policy does in an episode."""
+"""Packages whose version may change an episode."""
 RULES = ("final", "held", "once")
+"""Rules of success, as in acgd/tasks/success.py."""
 
 
 def measure(request: CardRequest, inputs: Inputs, ctx: Context) -> None:
-    """{expert} -> card.json, curve.csv."""
+    """{expert} -> card.json, curve.csv.
+
+    The card in zoo/ is copied where it has at least `card.episodes` episodes from the same starts; else the expert is
+    measured. ValueError where the expert is not that of zoo/ any more.
+    """
     expert, task = inputs["expert"], request.task
     if isinstance(request.expert, ZooSettings):
         source = zoo.folder(task.name)
-        known = read(source)
-        if known["sha256"] != file_digest(expert / POLICY):
+        zoo_card = read(source)
+        if zoo_card["sha256"] != file_digest(expert / POLICY):
             raise ValueError(f"{expert} is not the expert that {source} has now: start the workflow again")
-        for note in other_versions(known):
+        for note in other_versions(zoo_card):
             print(
                 f"warning: {task.name}: {note}: measure it with `python -m acgd zoo evaluate {task.name}`", flush=True
             )
-        serves = known["episodes"] >= request.card.episodes and known["start"] == task.start
-        described = {name: known[name] for name in DESCRIPTION}
-        card = known if serves else described | measured(expert, task, request.card.episodes)
+        is_sufficient = zoo_card["episodes"] >= request.card.episodes and zoo_card["start"] == task.start
+        description = {name: zoo_card[name] for name in DESCRIPTION}
+        card = zoo_card if is_sufficient else description | measurements(expert, task, request.card.episodes)
     else:
         source = expert
-        card = described_by(request.expert, task, expert) | measured(expert, task, request.card.episodes)
+        card = describe(request.expert, task, expert) | measurements(expert, task, request.card.episodes)
     write(card, ctx.out)
     shutil.copyfile(source / "curve.csv", ctx.out / "curve.csv")
     with open(source / "curve.csv", newline="") as file:
         for row in csv.DictReader(file):
-            shown = {name: float(row[name]) for name in (*RULES, "return")}
-            ctx.metrics.log(int(row["step"]), **shown)
+            values = {name: float(row[name]) for name in (*RULES, "return")}
+            ctx.metrics.log(int(row["step"]), **values)
 
 
-def described_by(settings: LearnerSettings, task: TaskConfig, folder: Path) -> dict[str, Any]:
-    """DESCRIPTION of the expert in `folder`, which was trained for `task` with `settings`."""
-    apart = ("kind", "seed", "reward_weights")
+def describe(settings: LearnerSettings, task: TaskConfig, folder: Path) -> dict[str, Any]:
+    """The DESCRIPTION entries of the expert in `folder`, which was trained for `task` with `settings`."""
+    excluded = ("kind", "seed", "reward_weights")
     return {
         "task": task.name,
         "algorithm": settings.algorithm,
         "steps": Expert.load(folder).meta.get("steps", settings.steps),
         "seed": settings.seed,
-        "settings": {name: value for name, value in in_key(settings).items() if name not in apart},
+        "settings": {name: value for name, value in in_key(settings).items() if name not in excluded},
         "reward_weights": settings.reward_weights,
     }
 
 
-def measured(folder: Path, task: TaskConfig, count: int) -> dict[str, Any]:
-    """Success of the expert in `folder` in `count` held-out episodes of `task`, with what it was measured on."""
+def measurements(folder: Path, task: TaskConfig, count: int) -> dict[str, Any]:
+    """The other entries: success in `count` held-out episodes of `task`, seeds, package versions and digests."""
     rows = episodes(Expert.load(folder), task, SEEDS.expert_card.take(count))
     digests = {"sha256": POLICY, "critic_sha256": CRITIC}
     return {
@@ -81,7 +86,7 @@ def measured(folder: Path, task: TaskConfig, count: int) -> dict[str, Any]:
 
 
 def success(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Successes, rate and 95% Wilson interval of episodes, by rule."""
+    """Rule -> number of successes, rate and 95% Wilson interval over `rows`, the results of episodes."""
     counts = {rule: sum(bool(row[rule]) for row in rows) for rule in RULES}
     rates = {rule: wilson(count, len(rows)) for rule, count in counts.items()}
     return {
@@ -91,15 +96,15 @@ def success(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def write(card: dict[str, Any], folder: Path) -> None:
-    """card.json, its entries in alphabetical order."""
+    """Writes card.json with sorted entries."""
     (folder / "card.json").write_text(json.dumps(card, indent=1, sort_keys=True) + "\n")
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """The card in `folder`. Raises FileNotFoundError or ValueError where it is not that of the weights beside it."""
-    if absent := [name for name in zoo.FILES if not (folder / name).is_file()]:
+    """The card in `folder`. FileNotFoundError where a file is missing, ValueError where a digest does not match."""
+    if missing_files := [name for name in zoo.FILES if not (folder / name).is_file()]:
         raise FileNotFoundError(
-            f"{folder} lacks {', '.join(absent)}: restore it from the repository, or use a task of the zoo "
+            f"{folder} lacks {', '.join(missing_files)}: restore it from the repository, or use a task of the zoo "
             f"({zoo.tasks_with(zoo.has_expert)})"
         )
     card = json.loads((folder / "card.json").read_text())
@@ -113,7 +118,7 @@ def read(folder: Path) -> dict[str, Any]:
 
 
 def check(folder: Path) -> dict[str, Any]:
-    """The card of an entry of the zoo. Raises as `read` does, and where the fitted critic is not that of the policy."""
+    """The card of a zoo entry. Raises as `read`, and ValueError where the fitted critic is that of another policy."""
     card, critic = read(folder), folder / zoo.CRITIC_FOLDER / zoo.CRITIC[1]
     if critic.is_file() and json.loads(critic.read_text()).get("expert_sha256") != card["sha256"]:
         raise ValueError(
@@ -124,9 +129,9 @@ def check(folder: Path) -> dict[str, Any]:
 
 
 def other_versions(card: dict[str, Any]) -> list[str]:
-    """Packages whose installed version is not that of the measurement: success may differ."""
+    """Messages on packages whose installed version differs from that of the measurement."""
     return [
-        f"{name} {here} here, {then} when it was measured"
-        for name, then in card["versions"].items()
-        if (here := importlib.metadata.version(name)) != then
+        f"{name} {installed} here, {recorded} when it was measured"
+        for name, recorded in card["versions"].items()
+        if (installed := importlib.metadata.version(name)) != recorded
     ]

@@ -14,23 +14,24 @@ from acgd.simulate.seeds import SEEDS
 
 
 class Curve:
-    """Points of the curve, and the best expert so far, by (final success, return), in `state`/best."""
+    """Points of the learning curve. The best expert so far, by (final success, return), is kept in `state`/best."""
 
     def __init__(self, config: ExpertRequest, state: Path, metrics, points: list[dict]) -> None:
         self.points = points
         self._config, self._best, self._metrics = config, state / "best", metrics
         self._lock = Lockstep(config.task, ENVIRONMENTS, image_size=None, reward_weights=config.expert.reward_weights)
 
-    def add(self, expert: Expert, step: int, critic: Critic | None = None, **more: float) -> dict:
-        """Evaluate the deterministic `expert` on validation seeds, never on the card's; returns the new point.
+    def add(self, expert: Expert, step: int, critic: Critic | None = None, **extra: float) -> dict:
+        """Evaluates the deterministic `expert` on validation seeds, and returns the new point.
 
-        If it is the best so far it is kept, with its `critic` where the algorithm has one.
+        Validation seeds are disjoint from the card's seeds. The best expert is saved, with `critic` if there is one.
+        extra: further entries of the point.
         """
         count = self._config.expert.evaluation_episodes
         rows = episodes(expert, self._config.task, SEEDS.validation.take(count), self._lock)
         mean = {key: float(np.mean([row[key] for row in rows])) for key in ("final", "held", "once", "return", "steps")}
         length = mean.pop("steps")
-        point = {"step": step, **mean, "length": length, **more}
+        point = {"step": step, **mean, "length": length, **extra}
         self.points.append(point)
         self._metrics.log(step, **{key: value for key, value in point.items() if key != "step"})
         if point == max(self.points, key=lambda row: (row["final"], row["return"])):
@@ -43,7 +44,7 @@ class Curve:
 
 
 def write_curve(points: list[dict], path: Path) -> None:
-    """The learning curve as csv."""
+    """Writes the learning curve as csv."""
     with open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, list(points[0]), lineterminator="\n")
         writer.writeheader()

@@ -1,4 +1,4 @@
-"""Where an expert comes from: a trained one, or a learner. A new learner is a folder and a line."""
+"""Sources of experts: the zoo, or a learner. A new learner is one folder and one line."""
 
 from acgd.settings import Kind
 
@@ -8,5 +8,5 @@ LEARNERS: dict[str, Kind] = {
     "sac": Kind("acgd.experts.sac.settings:SACSettings", "acgd.experts.sac.learn:train_sac"),
     "muscle": Kind("acgd.experts.muscle.settings:MuscleSettings", "acgd.experts.muscle.learn:train_muscle"),
 }
-"""The code is `function(request, state, metrics, progress, device) -> (folder, points)`: the folder with the expert's
-files, and the points of the learning curve, none where nothing was trained."""
+"""The code is `function(request, state, metrics, progress, device) -> (folder, points)`. `folder` holds the expert's
+files. `points` is the learning curve, empty for an expert from the zoo."""

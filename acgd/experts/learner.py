@@ -1,4 +1,4 @@
-"""Settings that all learners share. They stand apart from settings.py, which imports the settings of every learner."""
+"""Settings that all learners share. They are not in settings.py, because that file imports every learner's settings."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,13 +10,12 @@ from acgd.settings import OUTSIDE_KEY, Section
 
 
 class LearnerSettings(Section):
-    """What every learner has. A learner is a subclass with `kind`, `algorithm`, and further fields, `steps` among
-    them."""
+    """Base of the settings of learners. A learner is a subclass with `kind`, `algorithm`, `steps` and other fields."""
 
     algorithm: ClassVar[str]
     """Name of the algorithm on the expert's card."""
     learns_critics: ClassVar[bool] = False
-    """The payload holds the critics that the learner has trained beside its policy."""
+    """Whether the artifact includes critics that the learner trains with its policy."""
 
     gamma: float = Field(default=0.97, gt=0, lt=1, description="Discount of the returns that training and critics use.")
     envs: int = Field(default=8, ge=1, description="Environments in one process.")
@@ -36,9 +35,9 @@ class LearnerSettings(Section):
         return ()
 
     def faults(self, task: str) -> Iterator[str]:
-        """What is wrong with these settings for `task`, each with its mend."""
+        """Messages on settings that do not fit `task`, each with its mend."""
         return iter(())
 
     def has_critics(self, task: str) -> bool:
-        """Whether the expert of `task` comes with critics that were trained beside its policy."""
+        """Whether the expert of `task` has critics that were trained with its policy."""
         return self.learns_critics

@@ -1,4 +1,4 @@
-"""A trained expert as plain torch: a Gaussian policy on the privileged state."""
+"""A trained expert as a torch module: a Gaussian policy on the privileged state."""
 
 import json
 from pathlib import Path
@@ -9,19 +9,23 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 STATE_CLIP = 10.0
-"""Normalised states are clipped to this many standard deviations, as in training."""
-KNOWN_STATES = 100_000
-"""Weight of the statistics of an expert that training starts from, in states seen."""
+"""Standard deviations at which normalised states are clipped, as in training."""
+WARM_START_STATES = 100_000
+"""Number of states that the statistics of a warm start count as."""
 LOG_STD = (-5.0, 1.0)
-"""Bounds of a squashed policy's log standard deviation."""
+"""Bounds of the log standard deviation of a squashed policy."""
 
 
 class Expert(nn.Module):
-    """Two hidden layers over the normalised state, and a mean action (A,) in [-1, 1].
+    """Network of two hidden layers: state (S,) -> Gaussian over actions (A,) in [-1, 1].
 
-    PPO's policy has tanh layers, one spread for all states, and clips its actions to the box: the clipped action is
-    what the simulator executes and what a student imitates. SAC's (`squashed`) has ReLU layers, a spread that
-    depends on the state, and brings its actions into the box by tanh.
+    | | PPO, muscle | SAC (`squashed`) |
+    |---|---|---|
+    | activation | tanh | ReLU |
+    | standard deviation | one for all states | depends on the state |
+    | bound of actions | clip | tanh |
+
+    The bounded action is what the simulator executes and what a student imitates.
     """
 
     def __init__(
@@ -39,7 +43,7 @@ class Expert(nn.Module):
         else:
             self.register_buffer("log_std", torch.zeros(action_dim))
         self.meta = dict(meta or {})
-        """Task, reward weights and discount of its training."""
+        """Task, reward weights and discount of the training."""
         self.eval().requires_grad_(False)
 
     def mean_tensor(self, state: Tensor) -> Tensor:
@@ -47,15 +51,15 @@ class Expert(nn.Module):
         return self._into_box(self.gaussian(state)[0])
 
     def gaussian(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log standard deviation, each (B, A), before actions are brought into the box."""
+        """Mean and log standard deviation, each (B, A), before the bound of actions."""
         return self.network(self.normalised(state))
 
     def normalised(self, state: Tensor) -> Tensor:
-        """States (B, S) in units of the training's spread, clipped at STATE_CLIP."""
+        """States (B, S) normalised by the statistics of training and clipped at STATE_CLIP."""
         return ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
 
     def network(self, normal_state: Tensor) -> tuple[Tensor, Tensor]:
-        """`gaussian` for states that are normalised already."""
+        """As `gaussian`, for normalised states."""
         activation = torch.relu if self.squashed else torch.tanh
         x = activation(self.hidden2(activation(self.hidden1(normal_state))))
         mean = self.action(x)
@@ -73,29 +77,29 @@ class Expert(nn.Module):
             return self.mean_tensor(self._tensor(state)).cpu().numpy()
 
     def sample(self, state: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Stochastic action (B, A): Gaussian, then brought into the box."""
+        """Sampled action (B, A) in [-1, 1] for states (B, S)."""
         noise = rng.standard_normal((len(state), self.action.out_features)).astype(np.float32)
         return self.act(state, noise)
 
     def act(self, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Action (B, A) for states (B, S) and standard normal noise (B, A)."""
+        """Action (B, A) in [-1, 1] for states (B, S) and standard normal noise (B, A)."""
         with torch.no_grad():
             mean, log_std = self.gaussian(self._tensor(state))
             return self._into_box(mean + log_std.exp() * self._tensor(noise)).cpu().numpy()
 
     def _tensor(self, array: np.ndarray) -> Tensor:
-        """float32, where the weights are."""
+        """The array as float32 on the device of the weights."""
         return torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(self.state_mean.device)
 
     def save(self, folder: Path) -> None:
-        """Write policy.safetensors and policy.json."""
+        """Writes policy.safetensors and policy.json."""
         folder = Path(folder)
         save_file({k: v.contiguous() for k, v in self.state_dict().items()}, folder / "policy.safetensors")
         (folder / "policy.json").write_text(json.dumps(self.meta, indent=1, sort_keys=True) + "\n")
 
     @classmethod
     def load(cls, folder: Path) -> "Expert":
-        """Read what `save` wrote. FileNotFoundError and ValueError name the file and the mend."""
+        """Reads policy.safetensors and policy.json. FileNotFoundError where one of them is missing."""
         folder = Path(folder)
         weights, meta = folder / "policy.safetensors", folder / "policy.json"
         for path in (weights, meta):
@@ -112,7 +116,7 @@ class Expert(nn.Module):
 
     @classmethod
     def random(cls, state_dim: int, action_dim: int, seed: int = 0, meta: dict | None = None) -> "Expert":
-        """An untrained expert, for tests and as a floor."""
+        """An untrained expert, for tests and benchmarks."""
         expert = cls(state_dim, action_dim, 32, {"reward_weights": {}, "gamma": 0.97} | dict(meta or {}))
         generator = torch.Generator().manual_seed(seed)
         for layer in (expert.hidden1, expert.hidden2, expert.action):

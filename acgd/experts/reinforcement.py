@@ -1,4 +1,4 @@
-"""Settings that the learners by reward share: where training and its episodes start."""
+"""Settings that PPO and SAC share: the start of training and of its episodes."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,28 +12,27 @@ from acgd.experts.muscle.settings import ControllerSettings, without_controller
 from acgd.tasks.spec import TASKS
 
 ADVANCED_KINDS = ("key-turn", "pose")
-"""Kinds of tasks with starts on the way to the goal: acgd/tasks/starts.py defines them, and a test compares the two."""
+"""Kinds of tasks with starts on the way to the goal. A test compares this list with acgd/tasks/spec.py."""
 
 
 class ReinforcementSettings(LearnerSettings):
-    """What PPO and SAC share: where training and its episodes start."""
+    """Start of training and of its episodes, for PPO and SAC."""
 
     muscle_settings: ClassVar[type[ControllerSettings]] = ControllerSettings
-    """Class of `muscle`."""
+    """Class of the field `muscle`."""
 
     advanced_starts: float = Field(
         default=0.0,
         ge=0,
         le=1,
-        description="Share of training episodes that start anywhere on the straight way to the goal, a hand's pose or "
-        "a key's angle. Only pose and key-turn tasks have such starts.",
+        description="Share of training episodes that start on the straight way to the goal, a hand's pose or a key's "
+        "angle. Only pose and key-turn tasks have such starts.",
     )
     warm_start: str = Field(
         default="",
-        description="What training starts from. Empty: from nothing. A task, such as myo/pen-twirl for "
-        "myo/pen-twirl-hard: its expert in zoo/, by the same algorithm. muscle: the muscle controller. PPO first "
-        "trains its policy to imitate the controller. SAC takes the controller's actions in place of its first random "
-        "ones.",
+        description="Start of training. Empty: an untrained policy. A task, such as myo/pen-twirl for "
+        "myo/pen-twirl-hard: the expert in zoo/ by the same algorithm. muscle: the muscle controller. PPO first trains "
+        "its policy to imitate the controller. SAC replaces its first random actions by those of the controller.",
     )
     muscle: ControllerSettings | None = Field(
         default=None, description="Settings of the muscle controller. Only with warm_start: muscle."
@@ -42,7 +41,7 @@ class ReinforcementSettings(LearnerSettings):
     @model_validator(mode="after")
     def _muscle_belongs_to_its_warm_start(self) -> "ReinforcementSettings":
         if self.warm_start == "muscle" and self.muscle is None:
-            # The key holds the defaults, too. Written past pydantic, which would count the field as set by the user.
+            # The key includes the defaults. pydantic's setter would count the field as set by the user.
             self.__dict__["muscle"] = self.muscle_settings()
         if self.warm_start != "muscle" and self.muscle is not None:
             raise ValueError(
@@ -51,25 +50,25 @@ class ReinforcementSettings(LearnerSettings):
         return self
 
     @property
-    def first_task(self) -> str:
-        """The task whose expert in zoo/ training starts from; empty where there is none."""
+    def warm_start_task(self) -> str:
+        """The task of the zoo expert that training starts from; empty where there is none."""
         return "" if self.warm_start == "muscle" else self.warm_start
 
     def files(self, task: str) -> tuple[Path, ...]:
-        """The policy, and critics where there are any, that training starts from."""
-        return zoo.policy_files(self.first_task) if self.first_task else ()
+        """The policy, and its critics if any, that training starts from."""
+        return zoo.policy_files(self.warm_start_task) if self.warm_start_task else ()
 
     def faults(self, task: str) -> Iterator[str]:
-        """Starts that the task or the zoo does not have."""
-        if self.first_task and not zoo.has_expert(self.first_task):
+        """Messages on starts that the task or the zoo does not have."""
+        if self.warm_start_task and not zoo.has_expert(self.warm_start_task):
             yield (
-                f"expert.warm_start: zoo/ has no expert for {self.first_task}. "
+                f"expert.warm_start: zoo/ has no expert for {self.warm_start_task}. "
                 f"Leave it empty, or take one that it has: {zoo.tasks_with(zoo.has_expert)}."
             )
-        elif self.first_task and self.learns_critics and not zoo.has_learned_critics(self.first_task):
+        elif self.warm_start_task and self.learns_critics and not zoo.has_learned_critics(self.warm_start_task):
             yield (
-                f"expert.warm_start: the expert in zoo/ for {self.first_task} has no critics for {self.algorithm} to "
-                f"go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
+                f"expert.warm_start: the expert in zoo/ for {self.warm_start_task} has no critics for "
+                f"{self.algorithm} to go on with. Leave it empty, or take: {zoo.tasks_with(zoo.has_learned_critics)}."
             )
         if self.warm_start == "muscle":
             yield from without_controller(task, "expert.warm_start", "Leave it empty")

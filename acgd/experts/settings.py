@@ -18,11 +18,11 @@ class ZooSettings(Section):
     kind: Literal["zoo"] = "zoo"
 
     def files(self, task: str) -> tuple[Path, ...]:
-        """Policy, and the critics that were trained beside it, if any."""
+        """The policy, and the critics that were trained with it, if any."""
         return zoo.policy_files(task)
 
     def faults(self, task: str) -> Iterator[str]:
-        """A task that the zoo lacks."""
+        """A message where the zoo has no expert for the task."""
         if not zoo.has_expert(task):
             yield (
                 f"expert.kind: zoo/ has no expert for {task}. "
@@ -30,7 +30,7 @@ class ZooSettings(Section):
             )
 
     def has_critics(self, task: str) -> bool:
-        """Whether the expert comes with critics that were trained beside its policy."""
+        """Whether the expert has critics that were trained with its policy."""
         return zoo.has_learned_critics(task)
 
 
@@ -38,33 +38,33 @@ ExpertConfig = one_of(LEARNERS, default="zoo")
 
 
 class ExpertRequest(Request):
-    """What an expert depends on."""
+    """Request of the stage `expert`."""
 
     task: TaskConfig
     expert: ExpertConfig = Field(ZooSettings(), description="Stage `expert`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
-        """What it is copied from, or what its training starts from."""
+        """Files of the zoo that the expert is copied from, or that its training starts from."""
         return self.expert.files(self.task.name)
 
 
 class CardConfig(Section):
-    """How well an expert does, on seeds that its training has not seen."""
+    """The measurement of an expert on held-out seeds."""
 
     episodes: int = Field(
         default=200,
         ge=1,
-        description="Held-out episodes behind the success on the card. The card in zoo/ serves where it has as many.",
+        description="Held-out episodes of the card. The card in zoo/ is used where it has at least as many.",
     )
 
 
 class CardRequest(Request):
-    """What an expert's card depends on, besides the expert."""
+    """Request of the stage `card`."""
 
     task: TaskConfig
     expert: ExpertConfig = ZooSettings()
     card: CardConfig = Field(CardConfig(), description="Stage `card`, one artifact per task.")
 
     def files(self) -> tuple[Path, ...]:
-        """Card and learning curve of an expert that was trained elsewhere."""
+        """Card and learning curve in the zoo, for an expert of the zoo."""
         return zoo.card_files(self.task.name) if isinstance(self.expert, ZooSettings) else ()

@@ -1,4 +1,4 @@
-"""Success of an expert over many seeds."""
+"""Success of an expert over episode seeds."""
 
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
@@ -8,11 +8,11 @@ from acgd.simulate.roll import roll
 from acgd.tasks.settings import TaskConfig
 
 ENVIRONMENTS = 8
-"""Episodes side by side; results do not depend on it beyond the last bit of batched inference."""
+"""Episodes in one batch. Results depend on this number only by the rounding of batched inference."""
 
 
 def episodes(expert: Expert, task: TaskConfig, seeds: list[int], lock: Lockstep | None = None) -> list[dict]:
-    """Run the deterministic expert once per seed; a row (seed, steps, return, final, held, once) for each."""
+    """Runs the deterministic expert once per seed. A row per episode: seed, steps, return, final, held, once."""
     lock = lock or Lockstep(
         task, min(ENVIRONMENTS, len(seeds)), image_size=None, reward_weights=expert.meta.get("reward_weights")
     )

@@ -1,4 +1,4 @@
-"""The expert stage: take a trained expert from the zoo, or train one."""
+"""The expert stage: copies a trained expert from the zoo, or trains one."""
 
 import shutil
 from pathlib import Path
@@ -11,10 +11,9 @@ from acgd.store.stage import Context, Inputs
 
 
 def train(request: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
-    """Write policy.safetensors and policy.json; the critics of an off-policy learner; curve.csv where the expert is
-    trained here."""
-    learn = imported(LEARNERS[request.expert.kind].code)
-    folder, points = learn(request, ctx.state, ctx.metrics, ctx.progress, ctx.device)
+    """-> policy.safetensors, policy.json; critic files of an off-policy learner; curve.csv of a trained expert."""
+    train_expert = imported(LEARNERS[request.expert.kind].code)
+    folder, points = train_expert(request, ctx.state, ctx.metrics, ctx.progress, ctx.device)
     for name in zoo.POLICY + zoo.CRITIC:
         if (folder / name).is_file():
             shutil.copyfile(folder / name, ctx.out / name)
@@ -25,10 +24,10 @@ def train(request: ExpertRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def take(request: ExpertRequest, *_: object) -> tuple[Path, list[dict]]:
-    """The folder of a trained expert, and no points. Raises FileNotFoundError where the zoo has none for the task."""
-    if absent := zoo.missing(request.task.name):
+    """The zoo folder of the task's expert, and no points. FileNotFoundError where the zoo has no such expert."""
+    if missing_files := zoo.missing(request.task.name):
         raise FileNotFoundError(
-            f"{zoo.folder(request.task.name)} lacks {', '.join(absent)}: train an expert (expert.kind: ppo), "
+            f"{zoo.folder(request.task.name)} lacks {', '.join(missing_files)}: train an expert (expert.kind: ppo), "
             f"or use a task of the zoo ({zoo.tasks_with(zoo.has_expert)})"
         )
     return zoo.folder(request.task.name), []

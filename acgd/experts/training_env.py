@@ -1,4 +1,4 @@
-"""The training environments of every learner: one task, observed by the privileged state alone."""
+"""The training environment of all learners: one task with the privileged state as observation."""
 
 import gymnasium
 import numpy as np
@@ -10,7 +10,7 @@ from acgd.tasks.spec import ADVANCED_KINDS, TASKS
 
 
 class StateOnly(gymnasium.ObservationWrapper):
-    """The privileged state as the whole observation, and seeds from the training range."""
+    """Observations are the privileged state (S,). Episode seeds come from the training range."""
 
     def __init__(self, config: ExpertRequest, stream: int) -> None:
         super().__init__(registry.make(config.task, image_size=None, reward_weights=config.expert.reward_weights))
@@ -24,20 +24,20 @@ class StateOnly(gymnasium.ObservationWrapper):
         self._rng = np.random.default_rng(stream)
 
     def reseed(self, entropy: list[int]) -> None:
-        """Start a new stream of episode seeds."""
+        """Starts a new stream of episode seeds."""
         self._rng = np.random.default_rng(entropy)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Ignores `seed` and `options`: the stream decides."""
+        """Starts an episode with the next seed of the stream. `seed` and `options` are ignored."""
         first, last = SEEDS.expert_training.start, SEEDS.expert_training.stop
         seed = int(self._rng.integers(first, last))
         options = None
-        if self._advanced:  # both numbers are drawn in any case
+        if self._advanced:  # the stream advances by two numbers in both cases
             chance, share = self._rng.random(2)
             options = {"advance": share} if chance < self._advanced else None
         obs, info = self.env.reset(seed=seed, options=options)
         return self.observation(obs), info
 
     def observation(self, observation: dict) -> np.ndarray:
-        """The state alone."""
+        """The privileged state (S,)."""
         return observation["state"]

@@ -1,4 +1,4 @@
-"""Where the trained experts that come with the project lie, and their fitted critics. Paths only."""
+"""Paths of the trained experts in zoo/ and of their critics."""
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -9,20 +9,20 @@ from acgd.tasks.spec import TASKS
 ROOT = Path(__file__).resolve().parents[2] / "zoo"
 POLICY = ("policy.safetensors", "policy.json")
 CRITIC = ("critic.safetensors", "critic.json")
-"""A critic, as the critic stage saves it: beside the policy those that an off-policy learner trained, in CRITIC_FOLDER
-the one that was fitted to the frozen expert."""
+"""Files of a critic. The critics of an off-policy learner lie beside the policy. The critic that was fitted to the
+frozen expert lies in CRITIC_FOLDER."""
 CARD = ("card.json", "curve.csv")
 FILES = POLICY + CARD
 CRITIC_FOLDER = "critic"
 
 
 def folder(task: str) -> Path:
-    """`myo/key-turn` -> zoo/myo-key-turn."""
+    """Folder of a task's expert: `myo/key-turn` -> zoo/myo-key-turn."""
     return ROOT / task.replace("/", "-")
 
 
 def policy_files(task: str) -> tuple[Path, ...]:
-    """The policy, and the critics that were trained beside it, if any."""
+    """The policy, and the critics that were trained with it, if any."""
     critics = CRITIC if has_learned_critics(task) else ()
     return tuple(folder(task) / name for name in POLICY + critics)
 
@@ -33,12 +33,12 @@ def card_files(task: str) -> tuple[Path, ...]:
 
 
 def fitted_critic(task: str) -> tuple[Path, ...]:
-    """The critic that was fitted to a task's expert."""
+    """Files of the critic that was fitted to a task's frozen expert."""
     return tuple(folder(task) / CRITIC_FOLDER / name for name in CRITIC)
 
 
 def missing(task: str) -> list[str]:
-    """Files of an expert that the zoo lacks for a task; none where it has the expert."""
+    """Names of the expert's files that the zoo lacks; empty where the zoo has the expert."""
     return [name for name in FILES if not (folder(task) / name).is_file()]
 
 
@@ -48,22 +48,22 @@ def has_expert(task: str) -> bool:
 
 
 def has_learned_critics(task: str) -> bool:
-    """Whether that expert comes with critics that were trained beside its policy."""
+    """Whether the zoo has critics that were trained with the expert's policy."""
     return all((folder(task) / name).is_file() for name in CRITIC)
 
 
 def has_fitted_critic(task: str) -> bool:
-    """Whether the zoo has a critic that was fitted to that expert."""
+    """Whether the zoo has a critic that was fitted to the frozen expert."""
     return all(path.is_file() for path in fitted_critic(task))
 
 
-def tasks_with(there: Callable[[str], bool]) -> str:
-    """Names of the tasks for which `there` holds, for messages."""
-    return ", ".join(filter(there, TASKS)) or "none yet"
+def tasks_with(condition: Callable[[str], bool]) -> str:
+    """Names of the tasks for which `condition` holds, for messages."""
+    return ", ".join(filter(condition, TASKS)) or "none yet"
 
 
 def faults(tasks: Iterable[tuple[str, Any, Any]]) -> Iterator[str]:
-    """What is wrong with (task, its expert's settings, its critic's settings), fault by fault, each with its mend."""
+    """Messages on faults of (task, expert settings, critic settings), each with its mend."""
     for task, expert, critic in tasks:
         yield from expert.faults(task)
         yield from critic.faults(task, expert)

@@ -1,4 +1,4 @@
-"""`acgd zoo`: list, verify and re-evaluate the trained experts that come with the project."""
+"""`acgd zoo`: lists, verifies and evaluates the trained experts in zoo/."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ import sys
 
 
 def add_parser(subparsers) -> None:
-    """Add `zoo list | verify | evaluate | card` to the command line."""
+    """Adds `zoo list | verify | evaluate | card` to the command line."""
     zoo = subparsers.add_parser("zoo", help="list, verify and re-evaluate the trained experts in zoo/")
     verbs = zoo.add_subparsers(dest="verb", required=True)
     verbs.add_parser("list", help="a line for each expert").set_defaults(run=_list)
@@ -37,8 +37,10 @@ def _find(name: str):
     entries = {spec.slug: (spec, folder) for spec, folder in _entries()}
     slug = name.replace("/", "-")
     if slug not in entries:
-        near = difflib.get_close_matches(slug, entries, n=1, cutoff=0.0)
-        sys.exit(f"the zoo has no {name!r}; nearest is {near[0] if near else 'none'}. It has: {', '.join(entries)}")
+        nearest = difflib.get_close_matches(slug, entries, n=1, cutoff=0.0)
+        sys.exit(
+            f"the zoo has no {name!r}; nearest is {nearest[0] if nearest else 'none'}. It has: {', '.join(entries)}"
+        )
     return entries[slug]
 
 
@@ -54,17 +56,17 @@ def _list(args: argparse.Namespace) -> int:
 def _verify(args: argparse.Namespace) -> int:
     from acgd.experts.card import check, other_versions
 
-    bad = 0
+    faulty = 0
     for spec, folder in _entries():
         try:
             card = check(folder)
         except (ValueError, FileNotFoundError) as error:
             print(f"{spec.name}: {error}")
-            bad += 1
+            faulty += 1
             continue
         notes = other_versions(card)
         print(f"{spec.name}: sound" + (f"; warning: {'; '.join(notes)}: re-evaluate it" if notes else ""))
-    return 1 if bad else 0
+    return 1 if faulty else 0
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -92,11 +94,11 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _card(args: argparse.Namespace) -> int:
-    from acgd.experts.card import described_by, measured, write
+    from acgd.experts.card import describe, measurements, write
     from acgd.experts.settings import ExpertRequest
 
     _, folder = _find(args.task)
     request = ExpertRequest.model_validate_json((folder / "request.json").read_text())
-    card = described_by(request.expert, request.task, folder) | measured(folder, request.task, args.episodes)
+    card = describe(request.expert, request.task, folder) | measurements(folder, request.task, args.episodes)
     write(card, folder)
     return _list(args)

@@ -1,4 +1,4 @@
-"""What a guidance is, the one that settings name, and how much it weighs beside imitation."""
+"""The interface of guidance, its loader, and the ratio of its gradient to that of imitation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from acgd.settings import Section, imported
 from acgd.store.stage import Inputs
 
 COUNTS_FROM = 0.01
-"""Below this ratio of gradient norms, guidance over imitation, a task counts as not guided."""
+"""Least ratio of gradient norms, guidance over imitation, at which a task counts as guided."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What guidance sees of n windows besides the proposed chunks. The privileged states are for critics alone."""
+    """Data of n windows that guidance reads besides the proposed chunks. Only critics may read the states."""
 
     states: Tensor
-    """(n, k, S) s_{t+j}, zero-padded to the widest task."""
+    """(n, k, S) privileged states s_{t+j}, zero-padded to the widest task."""
     actions: Tensor
     """(n, k, A) a_{t+j} of the demonstration."""
     mask: Tensor
@@ -30,32 +30,33 @@ class Reference:
 
 
 class Guidance(Protocol):
-    """A second teacher, whose gradient reaches the student through the chunk that it proposes."""
+    """A second loss. Its gradient reaches the student through the proposed chunk."""
 
     alpha: float
-    """Weight of the imitation loss against this one's."""
+    """Weight of the imitation loss relative to the guidance loss."""
     gates: Tensor
-    """(m,) factor of each task; 0 leaves the task out."""
+    """(m,) factor of each task. 0: the task is not guided."""
 
     def rows(self, batch: int) -> int:
-        """How many of the first windows of a batch it sees, at least one."""
+        """Number of windows, from the first on, that are guided in a batch of `batch` windows; at least one."""
 
     def loss(self, proposal: Tensor, reference: Reference) -> Tensor:
-        """proposal (n, k, A), differentiable -> (n,), gates included."""
+        """Loss of each window with its gate. proposal (n, k, A), differentiable -> (n,)."""
 
     def gain(self, proposal: Tensor, reference: Reference) -> Tensor:
-        """How much better than the demonstration the proposal is, for validation, without gates -> (n,)."""
+        """Advantage of the proposal (n, k, A) over the demonstration, without gates, for validation -> (n,)."""
 
 
 def load_guidance(settings: Section, inputs: Inputs, *, chunk: int, device: torch.device) -> Guidance | None:
-    """The guidance of the kind that `settings` names, for chunks of `chunk` steps; None where there is none."""
+    """Loads the guidance of the settings' kind for chunks of `chunk` steps. Returns None for kind `none`."""
     return imported(GUIDANCE[settings.kind].code)(settings, inputs, chunk=chunk, device=device)
 
 
 def gradient_ratios(student: nn.Module, imitation: Tensor, guidance: Tensor, task: Tensor, tasks: int) -> list[float]:
-    """|gradient of the guidance loss| / |gradient of the imitation loss| by the student's parameters, for each task.
+    """|gradient of the guidance loss| / |gradient of the imitation loss| in the student's parameters, per task.
 
-    imitation (B,), guidance (n,) of the first n rows, task (B,). The graph is kept for the training step.
+    imitation (B,), guidance (n,) of the first n rows, task (B,). The graph is retained for the training step. The ratio
+    is 0 for a task without an imitation gradient.
     """
     parameters = [p for p in student.parameters() if p.requires_grad]
 
@@ -67,14 +68,14 @@ def gradient_ratios(student: nn.Module, imitation: Tensor, guidance: Tensor, tas
 
     ratios = []
     for index in range(tasks):
-        by_imitation = norm(imitation[task == index])
-        by_guidance = norm(guidance[task[: len(guidance)] == index]) if by_imitation > 0 else 0.0
-        ratios.append(by_guidance / by_imitation if by_imitation > 0 else 0.0)
+        imitation_norm = norm(imitation[task == index])
+        guidance_norm = norm(guidance[task[: len(guidance)] == index]) if imitation_norm > 0 else 0.0
+        ratios.append(guidance_norm / imitation_norm if imitation_norm > 0 else 0.0)
     return ratios
 
 
 def verdict(names: Sequence[str], guidance: Guidance | None, ratios: Sequence[float]) -> dict[str, Any]:
-    """For student.json: per task its gate, the mean ratio of gradient norms, and whether that counts as guidance."""
+    """Entry of student.json: gate and mean gradient ratio of each task, and whether the ratio counts as guidance."""
     if guidance is None:
         return {}
     tasks = {

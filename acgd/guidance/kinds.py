@@ -1,6 +1,6 @@
-"""All kinds of guidance: one line and one folder each.
+"""The registry of guidance kinds: one line and one folder per kind.
 
-The code is a function `load(settings, inputs, chunk=, device=) -> Guidance | None`, see acgd/guidance/guidance.py.
+The code of a kind is a function `load(settings, inputs, chunk=, device=) -> Guidance | None`, see guidance.py.
 """
 
 from acgd.settings import Kind

@@ -1,4 +1,4 @@
-"""The transformer layer shared by phi_act and psi_dec."""
+"""The transformer layer of phi_act and psi_dec."""
 
 import torch
 from torch import Tensor, nn
@@ -6,10 +6,9 @@ from torch.nn import functional as F
 
 
 class Block(nn.Module):
-    """Pre-norm attention and feed-forward network; tokens attend to each other and, where given, to a context.
+    """Pre-norm transformer layer: attention over [context, tokens], then a feed-forward network.
 
-    One attention over [context, tokens] replaces ACT's self- and cross-attention: the same reach at two thirds of the
-    cost.
+    One attention replaces the self-attention and cross-attention of ACT, at two thirds of the cost.
     """
 
     def __init__(self, width: int, heads: int, expansion: int) -> None:
@@ -25,10 +24,7 @@ class Block(nn.Module):
         )
 
     def forward(self, tokens: Tensor, context: Tensor | None = None) -> Tensor:
-        """tokens (B, n, d), context (B, m, d) or None -> (B, n, d).
-
-        Tokens (1, n, d) are shared by all rows of the context.
-        """
+        """tokens (B, n, d), context (B, m, d) or None -> (B, n, d). Tokens (1, n, d) serve all rows of the context."""
         normed = self.norm_attention(tokens)
         query, sources = self.query(normed), self.key_value(normed)
         if context is not None:

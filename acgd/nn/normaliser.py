@@ -1,14 +1,14 @@
-"""Normalisation of a network's inputs by the statistics of its training data, saved with its weights."""
+"""Normalisation of network inputs by the statistics of the training data, saved with the weights."""
 
 import torch
 from torch import Tensor, nn
 
 CLIP = 5.0
-"""Normalised inputs end here: a joint that never moved in the demonstrations must not dominate at test time."""
+"""Bound of normalised inputs. A joint that never moved in the demonstrations must not dominate at test time."""
 
 
 class Normaliser(nn.Module):
-    """(x - mean) / std with the training frames' statistics, clipped."""
+    """(x - mean) / std, clipped to [-CLIP, CLIP]."""
 
     mean: Tensor
     std: Tensor
@@ -19,7 +19,7 @@ class Normaliser(nn.Module):
         self.register_buffer("std", torch.ones(size))
 
     def fit(self, x: Tensor) -> None:
-        """x (N, size). Spreads far below the typical one are raised to a twentieth of it, against rounding."""
+        """Sets the statistics from x (N, size). Standard deviations are at least 0.05 of their median."""
         self.mean.copy_(x.mean(0))
         std = x.std(0) if len(x) > 1 else torch.ones_like(self.std)
         self.std.copy_(std.clamp(min=max(0.05 * std.median().item(), 1e-6)))

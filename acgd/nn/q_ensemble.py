@@ -1,6 +1,6 @@
-"""Q_i: an ensemble of LayerNorm networks on privileged state and action, stacked into batched weights.
+"""Q_i: an ensemble of LayerNorm networks on privileged state and action, with stacked weights.
 
-SAC learns two of them beside its policy; fitted Q evaluation fits them to a frozen one. Both save the same files.
+SAC and fitted Q evaluation train this critic and save the same files.
 """
 
 import json
@@ -17,21 +17,14 @@ from acgd.nn.excitation import ActionSpace, to_critic_input
 WEIGHTS, META = "critic.safetensors", "critic.json"
 FIRST = "weights.0"
 STATE_CLIP = 10.0
-"""Normalised states are clipped here: a freak state must not throw a frozen critic off its data."""
+"""Bound of normalised states: an extreme state must not leave the range that a frozen critic was trained on."""
 
 
 class Critic(nn.Module):
-    """Q(s, a) of one task's expert, for each member of the ensemble, in reward units.
+    """Q(s, a) of one task's expert, for each of M members, in reward units.
 
-    Parameters are stacked over the M members, `(M, in, out)`, so that a forward pass is one batched product per layer.
-    Everything that maps raw inputs to reward units is inside, as buffers: `state_mean`, `state_std` (S,) normalise the
-    state; `shift`, `scale` () turn the networks' output into a return; `spread` () is how far the Q of candidate
-    actions of one state lie apart, the unit in which tasks are compared.
-
-    A dueling critic (Wang et al. 2016) has two networks a member, Q = V(s) + `advantage_unit` A(s, a): the first M of
-    the stack read states alone. What an action does is often a hundredth of what the state is worth; one network that
-    learns both ranks actions by its errors in V. Unlike there, A is not centred: a continuous action has no mean over
-    all actions, and the ranking needs none.
+    Parameters have shape (M, in, out). Buffers: state_mean, state_std (S,); shift, scale, spread, and of a dueling
+    critic advantage_unit, (). Equations and reasons: docs/method.md, "Critic ensemble".
     """
 
     state_mean: Tensor
@@ -66,7 +59,7 @@ class Critic(nn.Module):
         self.weights = nn.ParameterList(
             nn.Parameter(torch.randn(networks, n, m, generator=generator) / n**0.5) for n, m in zip(sizes, sizes[1:])
         )
-        # Without a bias before it, LayerNorm would make the first layer blind to the size of its input.
+        # LayerNorm removes the scale of its input. A random bias before it keeps that scale visible.
         self.biases = nn.ParameterList(
             nn.Parameter((torch.rand(networks, 1, m, generator=generator) * 2 - 1) / n**0.5)
             for n, m in zip(sizes, sizes[1:])
@@ -76,7 +69,9 @@ class Critic(nn.Module):
         if dueling:
             self.register_buffer("advantage_unit", torch.ones(()))
             with torch.no_grad():
-                self.weights[0][:members, state_dim:] = 0  # and so they stay: V is given zeros for the action
+                self.weights[0][:members, state_dim:] = (
+                    0  # V receives zeros for the action, so that these weights stay 0
+                )
         for name, value in {
             "state_mean": torch.zeros(state_dim),
             "state_std": torch.ones(state_dim),
@@ -99,40 +94,42 @@ class Critic(nn.Module):
 
     @property
     def action_scale(self) -> Tensor:
-        """() from the output of those networks to reward units."""
+        """() factor from the output of `action_networks` to reward units."""
         return self.scale * self.advantage_unit if self.shape["dueling"] else self.scale
 
     def normalise(self, state: Tensor) -> Tensor:
-        """(..., S) in the simulator's units -> (..., S) as the networks read it."""
+        """States (..., S) in the simulator's units -> normalised and clipped states (..., S)."""
         return ((state - self.state_mean) / self.state_std).clamp(-STATE_CLIP, STATE_CLIP)
 
     def standard(self, state: Tensor, action: Tensor) -> Tensor:
-        """(B, S), (B, A) -> (M, B), before `shift` and `scale`: what the fit regresses."""
+        """States (B, S), actions (B, A) -> standardised returns (M, B), which the fit regresses."""
         return self.network(self.normalise(state), action)
 
     def network(self, normal_state: Tensor, action: Tensor) -> Tensor:
-        """`standard` for states that are normalised already."""
+        """As `standard`, for normalised states."""
         action = to_critic_input(action, self.shape["action_space"])
         x = torch.cat([normal_state, action], -1).expand(self.members, -1, -1)
         if self.shape["dueling"]:
-            blind = torch.cat([normal_state, torch.zeros_like(action)], -1).expand(self.members, -1, -1)
-            x = torch.cat([blind, x])
+            without_action = torch.cat([normal_state, torch.zeros_like(action)], -1).expand(self.members, -1, -1)
+            x = torch.cat([without_action, x])
         for weight, bias, gain, offset in zip(self.weights, self.biases, self.gains, self.offsets):
-            normal = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
-            x = F.silu(torch.addcmul(offset, normal, gain))
-        # Returns need more digits than bf16 has. A product and a sum: for one column a batched matrix product takes
-        # four times as long.
+            normalised = F.layer_norm(torch.baddbmm(bias, x, weight), weight.shape[-1:])
+            x = F.silu(torch.addcmul(offset, normalised, gain))
+        # Returns need more digits than bfloat16 has. For one output column a batched matrix product takes four times as
+        # long as product and sum.
         weight, bias = self.weights[-1].float(), self.biases[-1].float()
         q = (x.float() * weight.transpose(1, 2)).sum(-1) + bias.squeeze(-1)
         return q[: self.members] + self.advantage_unit * q[self.members :] if self.shape["dueling"] else q
 
     def forward(self, state: Tensor, action: Tensor) -> Tensor:
-        """(B, S), (B, A) in [-1, 1] -> (M, B), the expected discounted return of `action` followed by the expert."""
+        """States (B, S), actions (B, A) in [-1, 1] -> (M, B): discounted return of `action`, then of the expert."""
         return self.shift + self.scale * self.standard(state, action)
 
     def save(self, directory: Path) -> None:
-        """Weights and normalisers as safetensors; shape and `meta` as JSON. The first weights of V are stored without
-        the rows of the action."""
+        """Writes critic.safetensors (weights, normalisers) and critic.json (shape, `meta`).
+
+        The first weights of V are stored without the rows of the action, which are 0.
+        """
         tensors = {name: value.clone() for name, value in self.state_dict().items()}
         if self.shape["dueling"]:
             value, advantage = tensors.pop(FIRST).chunk(2)
@@ -145,7 +142,7 @@ class Critic(nn.Module):
 
     @classmethod
     def load(cls, directory: Path) -> Self:
-        """A critic as it was saved, in eval mode."""
+        """The saved critic, in eval mode."""
         meta = json.loads((Path(directory) / META).read_text())
         critic = cls(**meta.pop("shape"))
         tensors = load_file(Path(directory) / WEIGHTS)

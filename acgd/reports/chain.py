@@ -1,4 +1,4 @@
-"""The artifacts upstream of the students: experts, demonstrations, critics, backbones, codebooks, and the guidance."""
+"""Tables of experts, demonstrations, critics, backbones, codebooks and guidance."""
 
 from collections.abc import Iterable
 
@@ -20,7 +20,7 @@ GATES = ["variant", "seed", "task", "gate", "gradient_ratio", "counts_as_none", 
 
 
 def per_task(request: ReportRequest, stage: str, artifacts: Artifacts) -> list[tuple[str, str, Artifact]]:
-    """(task, variants that use it, artifact) for each artifact of a per-task stage, in the order of the tasks."""
+    """(task, variants, artifact) for each artifact of a per-task stage, in the order of the tasks."""
     rows = []
     for task_id, task in enumerate(request.tasks):
         users: dict[int, list[str]] = {}
@@ -33,7 +33,7 @@ def per_task(request: ReportRequest, stage: str, artifacts: Artifacts) -> list[t
 
 
 def labelled(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict[str, tuple[str, Artifact]]:
-    """Label -> (variants, artifact). The label is the task, with the variants where a task has several artifacts."""
+    """Label -> (variants, artifact). The label is the task, with the variants if the task has several artifacts."""
     rows = per_task(request, stage, artifacts)
     tasks = [task for task, _, _ in rows]
     return {
@@ -43,14 +43,14 @@ def labelled(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict[s
 
 
 def experts(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """experts.csv: one row per expert's card, with its success on the card's held-out seeds."""
+    """experts.csv: one row per expert's card, with the success on the card's held-out seeds."""
     rows = []
     for task, variants, artifact in per_task(request, "card", artifacts):
         card = artifact.json("card.json")
         success = card.get("success", {}).get(request.report.success, {})
-        about = [card.get(name) for name in ("algorithm", "steps", "start", "episodes")]
+        training = [card.get(name) for name in ("algorithm", "steps", "start", "episodes")]
         figures = [success.get(name) for name in ("successes", "rate", "low", "high")]
-        rows.append((task, variants, *about, *figures, artifact.key))
+        rows.append((task, variants, *training, *figures, artifact.key))
     columns = ["task", "variants", "algorithm", "steps", "start", "episodes", "successes", "rate", "low", "high", "key"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -67,7 +67,7 @@ def demonstrations(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame
 
 
 def critics(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """critics.csv: quality.json of each critic, flat."""
+    """critics.csv: one row per critic, from its quality.json."""
     rows = []
     for label, (variants, artifact) in labelled(request, "quality", artifacts).items():
         quality = artifact.json("quality.json")
@@ -83,41 +83,41 @@ def critics(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def candidates(request: ReportRequest, artifacts: Artifacts) -> dict[str, pd.DataFrame]:
-    """Label -> within_state.csv: one row per state and candidate action, q and return standardised within their state.
+    """Label -> within_state.csv: one row per state and candidate action. q and return are standardised within a state.
 
-    States differ in how much the action matters. Unscaled, a few of them would fill the picture.
+    The spread of returns differs between states. Without the standardisation a few states would dominate the figure.
     """
     tables = {}
     for label, (_, artifact) in labelled(request, "quality", artifacts).items():
         frame = artifact.csv("within_state.csv")
         if len(frame):
-            of_state = frame.groupby("state")[["q", "return"]]
-            spread = of_state.transform("std").where(lambda std: std > 0)
-            standard = (frame[["q", "return"]] - of_state.transform("mean")) / spread
-            tables[label] = frame.assign(q=standard["q"], **{"return": standard["return"]})
+            groups = frame.groupby("state")[["q", "return"]]
+            spread = groups.transform("std").where(lambda std: std > 0)
+            standardised = (frame[["q", "return"]] - groups.transform("mean")) / spread
+            tables[label] = frame.assign(q=standardised["q"], **{"return": standardised["return"]})
     return tables
 
 
 def ranks(candidates: pd.DataFrame) -> np.ndarray:
-    """(states,): the rank correlation within each state; states whose candidates all return the same have none."""
+    """Rank correlation within each state (states,). States whose candidates have equal returns are left out."""
     q, returns = (np.stack([values for _, values in candidates.groupby("state")[name]]) for name in ("q", "return"))
     correlations = rank_correlations(q, returns)
     return correlations[~np.isnan(correlations)]
 
 
 def backbones(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """backbone.csv: how well each privileged backbone regresses each target from a held-out frame.
+    """backbone.csv: R^2 and RMSE of each target of each privileged backbone, on held-out frames.
 
-    r2 is empty for a target that does not vary.
+    r2 is empty for a constant target.
     """
     rows = []
     for place, artifact in enumerate(artifacts.get("backbone", ())):
         variants = _joined(entry.variant for entry in request.entries if place in entry.places("backbone"))
-        about = artifact.json("backbone.json")
-        if about.get("kind") == "privileged":
+        meta = artifact.json("backbone.json")
+        if meta.get("kind") == "privileged":
             rows += [
                 (variants, task, target, figures["r2"], figures["rmse"], artifact.key)
-                for task, targets in about["tasks"].items()
+                for task, targets in meta["tasks"].items()
                 for target, figures in targets.items()
             ]
     return pd.DataFrame(rows, columns=["variants", "task", "target", "r2", "rmse", "key"]).astype(
@@ -126,7 +126,7 @@ def backbones(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def guided_variants(request: ReportRequest, artifacts: Artifacts) -> frozenset[str]:
-    """Variants with a student whose settings name a kind of guidance."""
+    """Variants with a student that was trained with guidance."""
     return frozenset(
         entry.variant
         for entry in request.entries
@@ -135,17 +135,17 @@ def guided_variants(request: ReportRequest, artifacts: Artifacts) -> frozenset[s
 
 
 def gates(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """guidance.csv: per guided student and task its gate, the mean ratio of gradient norms, and whether that counts.
+    """guidance.csv: gate and mean gradient ratio of each guided student and task, in the last round.
 
-    Of the last round. counts_from: the ratio that counts as guidance. reliable_rank: what a `reliable` gate asks of the
-    critic; empty for another gate.
+    counts_as_none: whether the ratio is below counts_from. reliable_rank: threshold of a `reliable` gate; empty for
+    another gate.
     """
     rows = []
     for entry in request.entries:
         for student in used(entry, "student", artifacts)[-1:]:
             notes, settings = student.json("student.json").get("guidance", {}), _settings(student)
-            reliable = settings.get("reliable_rank") if settings.get("gate") == "reliable" else None
-            limits = notes.get("counts_from"), reliable
+            reliable_rank = settings.get("reliable_rank") if settings.get("gate") == "reliable" else None
+            limits = notes.get("counts_from"), reliable_rank
             for task, note in notes.get("tasks", {}).items():
                 measured = note["gate"], note["gradient_ratio"], not note["counts_as_guidance"]
                 rows.append((entry.variant, entry.seed, task, *measured, *limits))
@@ -155,9 +155,9 @@ def gates(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def codebooks(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """codebook.csv: health.json of each codebook.
+    """codebook.csv: one row per codebook, from its health.json.
 
-    perplexity is the mean over groups. A shuffled_ratio near 1 means that the decoder does not use the codes.
+    perplexity: mean over groups. shuffled_ratio: near 1 if the decoder ignores the codes.
     """
     rows = []
     for place, artifact in enumerate(artifacts.get("codebook", ())):
@@ -177,7 +177,7 @@ def codebooks(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def _settings(student: Artifact) -> dict:
-    """The section `guidance` that the student was made from."""
+    """The section `guidance` of the student's settings."""
     return student.request.get("guidance") or {}
 
 

@@ -1,4 +1,4 @@
-"""Learning curves, by what is learnt: which columns of metrics.jsonl are worth a panel."""
+"""Learning curves of students, codebooks, critics and backbones. The dicts map columns to the titles of panels."""
 
 from collections.abc import Mapping, Sequence
 
@@ -32,9 +32,9 @@ CRITIC = {
 
 
 def by_variant(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict[str, list[pd.DataFrame]]:
-    """Variant -> one frame per student seed, with the rounds of a stage one after the other.
+    """Variant -> one frame per student seed, with the rounds of a stage concatenated.
 
-    Of variants that share an artifact the first one has its curves.
+    Curves of an artifact that several variants share belong to the first of them.
     """
     seen: set[tuple[int, ...]] = set()
     runs: dict[str, list[pd.DataFrame]] = {}
@@ -50,36 +50,36 @@ def by_variant(request: ReportRequest, stage: str, artifacts: Artifacts) -> dict
 
 
 def joined(entry: ReportEntry, stage: str, artifacts: Artifacts) -> pd.DataFrame:
-    """Curves of an entry's artifacts of one stage; the steps of a later round go on from those of the round before."""
-    frames, done = [], 0
+    """Curves of an entry's artifacts of one stage. The steps of a round continue those of the previous round."""
+    frames, last_step = [], 0
     for artifact in used(entry, stage, artifacts):
         frame = artifact.curves()
         if len(frame):
-            frames.append(frame.assign(step=frame["step"] + done))
-            done = int(frames[-1]["step"].max())
+            frames.append(frame.assign(step=frame["step"] + last_step))
+            last_step = int(frames[-1]["step"].max())
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 
 
 def logged(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str]) -> dict[str, str]:
-    """Those of the columns that some run has logged."""
+    """The columns that at least one run has logged, with their titles."""
     present = {column for frames in runs.values() for frame in frames for column in frame}
     return {column: title for column, title in columns.items() if column in present}
 
 
 def backbone(request: ReportRequest, artifacts: Artifacts) -> tuple[dict[str, list[pd.DataFrame]], dict[str, str]]:
-    """Runs of trained backbones and the columns to show: the loss, and per task the mean R^2 over its targets."""
+    """Curves of trained backbones, and the columns to show: the loss, and the mean R^2 of each task."""
     runs = by_variant(request, "backbone", artifacts)
     for frames in runs.values():
         for frame in frames:
             for task in request.tasks:
-                of_task = [column for column in frame if column.startswith(f"r2/{task}/")]
-                if of_task:
-                    frame[task] = frame[of_task].mean(axis=1)
+                targets = [column for column in frame if column.startswith(f"r2/{task}/")]
+                if targets:
+                    frame[task] = frame[targets].mean(axis=1)
     return runs, logged(runs, {"loss": "training loss", **{task: f"R², {task}" for task in request.tasks}})
 
 
 def ratios(request: ReportRequest, artifacts: Artifacts) -> dict[tuple[str, str], list[pd.DataFrame]]:
-    """(variant, task) -> per student the gradient-norm ratio of guidance to imitation: step, ratio."""
+    """(variant, task) -> one frame (step, ratio) per student: gradient norm of guidance over that of imitation."""
     curves: dict[tuple[str, str], list[pd.DataFrame]] = {}
     for entry in request.entries:
         frame = joined(entry, "student", artifacts)
@@ -92,7 +92,7 @@ def ratios(request: ReportRequest, artifacts: Artifacts) -> dict[tuple[str, str]
 
 
 def table(runs: Mapping[str, Sequence[pd.DataFrame]]) -> pd.DataFrame:
-    """curves.csv: every logged value, long: variant, run (its place among the variant's), step, name, value."""
+    """curves.csv: one row per logged value. `run` is the index of the run within the variant."""
     parts = [
         frame.melt(id_vars="step", var_name="name", value_name="value").dropna().assign(variant=variant, run=place)
         for variant, frames in runs.items()

@@ -1,4 +1,4 @@
-"""Differences between variants, and what a student loses without its image: always on the same starts."""
+"""Differences of success between variants, and between a student with and without its image, on the same starts."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from acgd.reports.success import RULES
 
 ALL_TASKS = "all tasks"
 VISUAL_DROP = 0.2
-"""A task needs its image where the student loses at least this much without it."""
+"""Least loss of success without the image at which a task counts as visual."""
 
 _COLUMNS = ["mean", "low", "high", "wins", "losses", "pairs", "p_value", "seeds", "by_seed"]
 
@@ -18,7 +18,7 @@ _COLUMNS = ["mean", "low", "high", "wins", "losses", "pairs", "p_value", "seeds"
 def paired(episodes: pd.DataFrame, baseline: str, tasks: Sequence[str]) -> pd.DataFrame:
     """paired.csv: variant minus baseline, per task and over all tasks, for each success rule.
 
-    Only episodes that both have: the same student seed, start and episode seed. A variant that shares none has no row.
+    Pairs have the same student seed, start and episode seed. A variant without a pair has no row.
     """
     students = episodes[episodes["kind"] == "student"]
     others = [variant for variant in dict.fromkeys(students["variant"]) if variant != baseline]
@@ -33,22 +33,22 @@ def paired(episodes: pd.DataFrame, baseline: str, tasks: Sequence[str]) -> pd.Da
 def without_image(episodes: pd.DataFrame, rule: str, tasks: Sequence[str]) -> pd.DataFrame:
     """Success with the episode's images minus success with another episode's, per variant and task.
 
-    Columns variant, task, own, shuffled (the two rates), mean (their difference), low, high, and those of `paired`.
+    Columns: variant, task, own, shuffled (the two rates), and those of `paired`. mean is the difference of the rates.
     """
     rows = []
     shuffled = episodes[(episodes["kind"] == "control") & (episodes["image_features"] == "shuffled")]
-    for variant, apart in shuffled.groupby("parent", sort=False):
+    for variant, without in shuffled.groupby("parent", sort=False):
         own = episodes[(episodes["kind"] == "student") & (episodes["variant"] == variant)]
-        both = pd.concat([own, apart])
-        for task, *figures in _compare(both, variant, apart["variant"].iloc[0], rule, tasks):
-            rates = [part[part["task"] == task][rule].mean() for part in (own, apart)]
+        both = pd.concat([own, without])
+        for task, *figures in _compare(both, variant, without["variant"].iloc[0], rule, tasks):
+            rates = [part[part["task"] == task][rule].mean() for part in (own, without)]
             rows.append((variant, task, *rates, *figures))
     rows = [row for row in rows if row[1] != ALL_TASKS]
     return pd.DataFrame(rows, columns=["variant", "task", "own", "shuffled", *_COLUMNS])
 
 
 def _compare(episodes: pd.DataFrame, first: str, second: str, rule: str, tasks: Sequence[str]) -> list[tuple]:
-    """(task, figures...) of first minus second, for each task that both have and, of several, for all of them."""
+    """(task, figures...) of first minus second, for each common task, and for all of them if there are several."""
     by_task = {}
     for task in tasks:
         a, b = (
@@ -71,7 +71,7 @@ def _compare(episodes: pd.DataFrame, first: str, second: str, rule: str, tasks: 
 
 
 def _grid(episodes: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """(student seeds, starts) of bool. An episode that a student of the variant lacks is left out for all students."""
+    """(student seeds, starts) bool. An episode that one student of the variant lacks is left out for all students."""
     grid = episodes.pivot_table(index="seed", columns=["start", "episode"], values=rule, aggfunc="first", sort=True)
     return grid.dropna(axis=1).astype(bool)
 

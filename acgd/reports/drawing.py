@@ -1,4 +1,4 @@
-"""Which figures a study gets: one for each kind of evidence that it has."""
+"""Draws the figures of a study: one for each kind of evidence that the study has."""
 
 import pandas as pd
 from matplotlib.figure import Figure

@@ -12,21 +12,21 @@ TABLES = (
     "episodes", "success", "paired", "images", "budget", "experts", "demonstrations", "critics", "guidance", "backbone",
     "codebook", "stages", "curves",
 )  # fmt: skip
-"""Each is written as a csv file of that name."""
+"""Tables that are written as csv files of the same name."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The figures behind the page."""
+    """The tables of the report, and the choice of the baseline."""
 
     baseline: str
     guided: frozenset[str]
-    """Variants that learn with guidance."""
+    """Variants that are trained with guidance."""
     episodes: pd.DataFrame
     success: pd.DataFrame
     paired: pd.DataFrame
     images: pd.DataFrame
-    """What each variant loses without its image, under the headline rule."""
+    """Loss of success without the image, per variant, by the headline rule."""
     budget: pd.DataFrame
     experts: pd.DataFrame
     demonstrations: pd.DataFrame
@@ -39,6 +39,7 @@ class Evidence:
 
     @classmethod
     def of(cls, request: ReportRequest, artifacts: Artifacts) -> "Evidence":
+        """Makes all tables from the artifacts."""
         guided, rule = chain.guided_variants(request, artifacts), request.report.success
         baseline, episodes = verdict.choose_baseline(request, guided), success.gather(request, artifacts)
         return cls(
@@ -60,7 +61,7 @@ class Evidence:
         )
 
     def csv(self) -> dict[str, str]:
-        """File name -> content; tables without a row are left out, but for success.csv."""
+        """File name -> content. Tables without a row are left out, except success.csv."""
         frames = {name: getattr(self, name) for name in TABLES}
         return {
             f"{name}.csv": frame.to_csv(index=False, float_format="%.6g", lineterminator="\n")

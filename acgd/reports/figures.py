@@ -1,4 +1,4 @@
-"""The figures: each takes a table that is also written as csv, or the curves of some artifacts, and draws it."""
+"""The figures. Each function draws a table that is also written as csv, or curves of artifacts."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,11 +12,11 @@ from acgd.reports.differences import ALL_TASKS
 from acgd.reports.style import INK, MUTED, PALETTE, colours, panels
 
 WIDTH = 11.2
-"""Inches; the page's column is as wide."""
+"""Inches, the width of the page's column."""
 
 
 def success(pooled: pd.DataFrame, tasks: Sequence[str], variants: Sequence[str]) -> Figure:
-    """A panel per task: rate and Wilson interval of each variant and control, and each student seed as a small dot."""
+    """A panel per task: rate and Wilson interval of each variant and control, and a tick for each student seed."""
     names = [
         name
         for kind in ("student", "condition", "control")
@@ -51,7 +51,7 @@ def success(pooled: pd.DataFrame, tasks: Sequence[str], variants: Sequence[str])
 
 
 def differences(paired: pd.DataFrame, rule: str, variants: Sequence[str], baseline: str) -> Figure:
-    """A forest: the paired difference per task, and over all of them below, one panel per variant."""
+    """A forest plot per variant: the paired difference of each task, and of all tasks below."""
     rows = paired[paired["rule"] == rule]
     names = [name for name in variants if name in set(rows["variant"])]
     tasks = list(dict.fromkeys(rows["task"]))
@@ -75,7 +75,7 @@ def differences(paired: pd.DataFrame, rule: str, variants: Sequence[str], baseli
 
 
 def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str], variants: Sequence[str]) -> Figure:
-    """A panel per column (name -> title), a line per artifact, in the colour of the variant."""
+    """A panel per column (name -> title), a line per run in the colour of the variant."""
     rows, across = _grid(len(columns), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3)
     colour = {name: shade for name, shade in colours(variants).items() if name in runs}
@@ -94,7 +94,7 @@ def curves(runs: Mapping[str, Sequence[pd.DataFrame]], columns: Mapping[str, str
 
 
 def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
-    """Success on validation episodes against environment steps, a panel per task."""
+    """Success on validation episodes over environment steps, a panel per task."""
     rows, columns = _grid(len(curves), 4, least=2)
     figure, axes = panels(rows, columns, WIDTH, 2.2 * rows + 0.2, sharey=True)
     for axis, (task, curve) in _pair(axes, list(curves.items())):
@@ -109,9 +109,10 @@ def expert_curves(curves: Mapping[str, pd.DataFrame], column: str) -> Figure:
 def within_state(
     ranks: Mapping[str, np.ndarray], quality: pd.DataFrame, candidates: Mapping[str, pd.DataFrame], gate: float | None
 ) -> Figure:
-    """Above, how well Q ranks actions within one state, over states; below, Q against the simulated return.
+    """Above: histogram of the rank correlations within states. Below: Q over the simulated return.
 
-    candidates: per task columns q and return, standardised within each state. gate: a line at this correlation.
+    ranks: task -> (states,). candidates: task -> columns q and return, standardised within each state. gate: a dashed
+    line at this correlation.
     """
     tasks = list(ranks)
     bands, across = _grid(len(tasks), 4, least=2)
@@ -147,9 +148,9 @@ def ratios(
     variants: Sequence[str],
     floor: float | None,
 ) -> Figure:
-    """Gradient norm of L_distill over that of L_BC through training, a line per student seed.
+    """Gradient norm of L_distill divided by that of L_BC over training, a line per student seed.
 
-    curves: (variant, task) -> one frame (step, ratio) per student seed. floor: a line at this ratio.
+    curves: (variant, task) -> one frame (step, ratio) per student seed. floor: a dashed line at this ratio.
     """
     rows, across = _grid(len(tasks), 4, least=2)
     figure, axes = panels(rows, across, WIDTH, 2.4 * rows + 0.3, sharey=True)
@@ -158,8 +159,8 @@ def ratios(
     values = values[values > 0]
     limits = (0.5 * min([*values, 0.1 if floor is None else floor]), 2 * max([*values, 1.0]))
     for axis, task in _pair(axes, tasks):
-        for (variant, of), frames in curves.items():
-            for frame in frames if of == task else ():
+        for (variant, curve_task), frames in curves.items():
+            for frame in frames if curve_task == task else ():
                 positive = frame[frame["ratio"] > 0]
                 axis.plot(positive["step"], positive["ratio"], color=colour[variant], linewidth=1.2)
         if floor is not None:
@@ -175,13 +176,13 @@ def ratios(
 
 
 def _grid(count: int, across: int, least: int = 1) -> tuple[int, int]:
-    """(rows, columns) for so many panels; `least` columns, since one curve over the page's whole width says no more."""
+    """(rows, columns) for `count` panels: at most `across` and at least `least` columns."""
     columns = max(least, min(count, across))
     return max(1, -(-count // columns)), columns
 
 
 def _pair(axes: list[list[Axes]], items: Sequence) -> list[tuple]:
-    """Axes with what goes on them; axes left over are hidden."""
+    """(axes, item) pairs. Hides the axes without an item."""
     flat = [axis for row in axes for axis in row]
     for axis in flat[len(items) :]:
         axis.set_visible(False)

@@ -1,4 +1,4 @@
-"""What a study cost: per artifact, per stage, and per student."""
+"""Costs of a study: per artifact, per stage and per student."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ BUDGET = ["variant", "seed", "demonstration_steps", "on_policy_steps", "on_polic
 
 
 def cost(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """stages.csv: one row per artifact. Times and memory are of the run that made it, maybe for another study."""
+    """stages.csv: one row per artifact. Times (s) and memory (bytes) are those of the run that made it."""
     rows = []
     for stage, made in artifacts.items():
         for place, artifact in enumerate(made):
@@ -25,7 +25,7 @@ def cost(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def per_stage(cost: pd.DataFrame) -> pd.DataFrame:
-    """Sums over a stage's artifacts, in the order of the chain; memory is the greatest."""
+    """Sums over a stage's artifacts, in the order of the chain. peak_rss_bytes is the maximum."""
     sums = dict(
         artifacts=("key", "size"), wall_s=("wall_s", "sum"), longest_s=("wall_s", "max"), cpu_s=("cpu_s", "sum")
     )
@@ -37,11 +37,11 @@ def per_stage(cost: pd.DataFrame) -> pd.DataFrame:
 
 
 def budget(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
-    """budget.csv: what each student took.
+    """budget.csv: costs of each student.
 
-    demonstration_steps: environment steps of the demonstrations, failures included. on_policy_steps, on_policy_queries:
-    environment steps and expert labels of all rounds. cpu_s: processor time of the student's last round and of all
-    artifacts upstream of it; one that several students share counts in full for each.
+    demonstration_steps: environment steps of the demonstrations, including failures. on_policy_steps,
+    on_policy_queries: environment steps and expert queries of all rounds. cpu_s: processor time of the last round's
+    student and of all artifacts upstream of it. An artifact that several students share counts fully for each.
     """
     rows = []
     for entry in request.entries:
@@ -54,33 +54,34 @@ def budget(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
 
 
 def chain_of(entry: ReportEntry, artifacts: Artifacts) -> list[Artifact]:
-    """The student of the last round and everything that it was made from, by the keys in the manifests."""
+    """The student of the last round and all artifacts upstream of it, by the keys in the manifests."""
     by_key = {artifact.key: artifact for made in artifacts.values() for artifact in made}
-    wanted = [artifact.key for artifact in used(entry, "student", artifacts)[-1:]]
+    pending = [artifact.key for artifact in used(entry, "student", artifacts)[-1:]]
     chain: dict[str, Artifact] = {}
-    while wanted:
-        key = wanted.pop()
+    while pending:
+        key = pending.pop()
         if key in by_key and key not in chain:
             chain[key] = by_key[key]
-            wanted += by_key[key].upstream
+            pending += by_key[key].upstream
     return list(chain.values())
 
 
 def used(entry: ReportEntry, stage: str, artifacts: Artifacts) -> list[Artifact]:
-    """The artifacts of one stage that the entry names, in its order."""
+    """The artifacts of one stage that an entry lists, in the entry's order."""
     return [artifacts[stage][place] for place in entry.places(stage)]
 
 
 def label(request: ReportRequest, artifact: Artifact) -> str:
-    """What tells the artifact apart within its stage: task, student seed, round, condition."""
-    wants = artifact.request
+    """Label of an artifact within its stage: task, student seed, round, condition."""
+    settings = artifact.request
     by_slug = {task.replace("/", "-"): task for task in request.tasks}
-    task = (wants.get("task") or {}).get("name") or by_slug.get(artifact.manifest.get("name", ""), "")
-    seed = f"seed {wants['seed']}" if "seed" in wants else ""
-    turn = f"round {wants['round']}" if wants.get("round") else ""
-    condition = ", ".join(f"{name} {value}" for name, value in (wants.get("condition") or {}).items() if value)
-    return ", ".join(part for part in (task, seed, turn, condition) if part)
+    task = (settings.get("task") or {}).get("name") or by_slug.get(artifact.manifest.get("name", ""), "")
+    seed = f"seed {settings['seed']}" if "seed" in settings else ""
+    number = f"round {settings['round']}" if settings.get("round") else ""
+    condition = ", ".join(f"{name} {value}" for name, value in (settings.get("condition") or {}).items() if value)
+    return ", ".join(part for part in (task, seed, number, condition) if part)
 
 
 def _total(artifacts: Sequence[Artifact], name: str) -> int:
+    """Sum of an entry of summary.json over artifacts."""
     return sum(artifact.json("summary.json").get(name, 0) for artifact in artifacts)

@@ -1,4 +1,4 @@
-"""Pictures and films as data URIs, so that the page is one file."""
+"""Pictures and films as data URIs. The page needs no other file."""
 
 import base64
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from acgd.reports.settings import ReportRequest
 
 @dataclass(frozen=True)
 class Clip:
-    """One episode of a student, filmed."""
+    """A film of one episode of a student, as a data URI."""
 
     uri: str
     source: str
@@ -23,7 +23,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Film:
-    """What the students do on one task."""
+    """Picture and clips of one task."""
 
     task: str
     picture: str | None
@@ -33,15 +33,15 @@ class Film:
 
 
 def films(request: ReportRequest, artifacts: Artifacts) -> list[Film]:
-    """Per task a success and a failure: those of the first student, in the study's order, that has one."""
+    """Per task a success and a failure, each from the first student in the study's order that has one."""
     films = []
     for task_id, task in enumerate(request.tasks):
         clips = {
             kind: _clip(request, artifacts, f"{task.replace('/', '-')}-{kind}.mp4") for kind in ("success", "failure")
         }
         rollouts = (used(entry, "rollouts", artifacts) for entry in request.entries)
-        shown = next((of_tasks[task_id] for of_tasks in rollouts if of_tasks), None)
-        films.append(Film(task, shown and picture(shown), clips["success"], clips["failure"]))
+        first = next((by_task[task_id] for by_task in rollouts if by_task), None)
+        films.append(Film(task, first and picture(first), clips["success"], clips["failure"]))
     return films
 
 

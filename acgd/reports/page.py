@@ -1,4 +1,4 @@
-"""The page: one self-contained html file from the evidence, the figures and the films."""
+"""The page: one self-contained html file with tables, figures and films."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from acgd.reports.media import Film
 from acgd.reports.settings import ReportRequest
 from acgd.reports.style import colours, inline
 
-HERE = Path(__file__).parent
+TEMPLATES = Path(__file__).parent
 CODEBOOK = {
     "variants": "variants",
     "seeds": "seed",
@@ -31,13 +31,17 @@ CODEBOOK = {
 def render(
     request: ReportRequest, evidence: Evidence, svgs: Mapping[str, str], films: Sequence[Film], artifacts: Artifacts
 ) -> str:
-    """The html text. It refers to nothing outside itself."""
+    """The html text. It has no reference to other files or addresses."""
     environment = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
     return environment.get_template("report.html.j2").render(
         request=request,
-        css=(HERE / "report.css").read_text(encoding="utf-8"),
+        css=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         figures={name: inline(text, name) for name, text in svgs.items()},
         films=films,
         filmed=any(film.success or film.failure for film in films),
@@ -49,11 +53,11 @@ def render(
 
 
 def _story(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> dict[str, object]:
-    """The sentences."""
+    """Sentences and thresholds of the page."""
     rule = request.report.success
     pooled, mean = success.pooled(evidence.success, rule), success.over_tasks(evidence.success, rule)
     is_visual, visual = verdict.visual(evidence.images)
-    reliable, floor = (numbers.common(evidence.guidance[name]) for name in ("reliable_rank", "counts_from"))
+    reliable_rank, counts_from = (numbers.common(evidence.guidance[name]) for name in ("reliable_rank", "counts_from"))
     return {
         "compared": verdict.compared(request, evidence.episodes),
         "answers": verdict.answers(request, evidence.paired, mean, evidence.baseline, evidence.guided),
@@ -62,15 +66,15 @@ def _story(request: ReportRequest, evidence: Evidence, artifacts: Artifacts) -> 
         "is_visual": is_visual,
         "visual": visual,
         "precision": verdict.precision(artifacts),
-        "reliable_rank": None if reliable is None else f"{reliable:g}",
-        "counts_from": None if floor is None else f"{100 * floor:g}%",
+        "reliable_rank": None if reliable_rank is None else f"{reliable_rank:g}",
+        "counts_from": None if counts_from is None else f"{100 * counts_from:g}%",
         "replay": verdict.replay(pooled, request.tasks),
         "baseline": evidence.baseline,
     }
 
 
 def _cards(request: ReportRequest, evidence: Evidence) -> list[dict[str, str]]:
-    """Per variant its success over all tasks: what most readers look for first."""
+    """Success of each variant over all tasks, for the head of the page."""
     mean = success.over_tasks(evidence.success, request.report.success)
     students = mean[mean["kind"] == "student"]
     shades = colours(request.variants())
@@ -90,7 +94,7 @@ def _cards(request: ReportRequest, evidence: Evidence) -> list[dict[str, str]]:
 
 
 def _tables(request: ReportRequest, evidence: Evidence) -> dict[str, tables.Table]:
-    """Those that have a row."""
+    """All tables with at least one row."""
     rule = request.report.success
     pooled, mean = success.pooled(evidence.success, rule), success.over_tasks(evidence.success, rule)
     made = {
@@ -114,14 +118,14 @@ def _tables(request: ReportRequest, evidence: Evidence) -> dict[str, tables.Tabl
 
 
 def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]:
-    """The configuration as yaml, versions from the manifests, machines from the runs."""
-    everything = [artifact for stage in artifacts.values() for artifact in stage]
+    """The configuration as yaml, and versions, machines and revisions from manifests and runs."""
+    all_artifacts = [artifact for stage in artifacts.values() for artifact in stage]
     versions: dict[str, dict[str, None]] = {}
-    for artifact in everything:
+    for artifact in all_artifacts:
         for package, version in {**artifact.manifest.get("simulator", {}), **artifact.run.get("packages", {})}.items():
             versions.setdefault(package, {})[str(version)] = None
-    machines = dict.fromkeys(text for artifact in everything if (text := _machine(artifact)))
-    revisions = dict.fromkeys(artifact.run["revision"] for artifact in everything if artifact.run.get("revision"))
+    machines = dict.fromkeys(text for artifact in all_artifacts if (text := _machine(artifact)))
+    revisions = dict.fromkeys(artifact.run["revision"] for artifact in all_artifacts if artifact.run.get("revision"))
     return {
         "configuration": yaml.safe_dump(request.configuration, sort_keys=False, allow_unicode=True, width=120)
         if request.configuration
@@ -133,8 +137,9 @@ def _settings(request: ReportRequest, artifacts: Artifacts) -> dict[str, object]
 
 
 def _machine(artifact: Artifact) -> str:
+    """Processor, cores, device and precision fallback of a run."""
     run = artifact.run
     cores = f"{run['cores']} cores" if run.get("cores") else ""
     device = "" if run.get("device") == "cpu" else run.get("device", "")
-    instead = "float32 for want of bfloat16" if artifact.precision == "float32" else ""
-    return ", ".join(text for text in (run.get("processor", ""), cores, device, instead) if text)
+    fallback = "float32 for want of bfloat16" if artifact.precision == "float32" else ""
+    return ", ".join(text for text in (run.get("processor", ""), cores, device, fallback) if text)

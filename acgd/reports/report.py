@@ -1,4 +1,4 @@
-"""The stage `report`: the results of a study on one page, and the tables and figures behind it."""
+"""The stage `report`: the results of a study on one page, with tables and figures as files."""
 
 from acgd.reports import media, success
 from acgd.reports.artifact import load
@@ -10,7 +10,7 @@ from acgd.store.stage import Context, Inputs
 
 
 def report(request: ReportRequest, inputs: Inputs, ctx: Context) -> None:
-    """Writes report.html, *.csv and *.svg. The same artifacts, with the same run.json, give the same bytes."""
+    """Writes report.html, *.csv and *.svg. Equal artifacts with equal run.json give equal bytes."""
     artifacts = load(inputs)
     evidence = Evidence.of(request, artifacts)
     svgs = draw(request, evidence, artifacts)

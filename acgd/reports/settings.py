@@ -1,4 +1,4 @@
-"""The report: which artifacts it reads, and what it puts first."""
+"""Settings and request of the stage `report`."""
 
 from typing import Literal
 
@@ -8,49 +8,48 @@ from acgd.settings import Request, Section
 
 
 class ReportConfig(Section):
-    """How the report tells the story of a study."""
+    """Headline rule, baseline and clips of the report."""
 
     success: Literal["final", "held", "once"] = Field(
         "final",
-        description="Success rule of the headline, the differences and the controls. success.csv has all three.",
+        description="Success rule of the headline, the differences and the controls. success.csv has all three rules.",
     )
     baseline: str | None = Field(
         None,
         description="Variant that the others are compared with, episode by episode. "
-        "Without one it is the first variant that learns without guidance.",
+        "Without it: the first variant without guidance.",
     )
     clips: bool = Field(
         True,
-        description="Embed the clips of a success and a failure per task; they are some megabytes.",
+        description="Embed the clips of a success and a failure per task, some megabytes.",
     )
 
 
 class ReportEntry(Section):
-    """One trained student and the artifacts behind it."""
+    """One student and the artifacts that it depends on."""
 
     variant: str = Field(description="Name of the variant.")
     seed: int = Field(description="Student seed.")
     artifacts: dict[str, tuple[int, ...]] = Field(
-        description="Stage -> places in the report's inputs of that stage. A stage per task has one place per task, "
+        description="Stage -> indices in the report's inputs of that stage. A stage per task has one index per task, "
         "`evaluation` one per condition with the headline first, `student` one per round."
     )
 
     def places(self, stage: str) -> tuple[int, ...]:
-        """Places in inputs[stage]; empty for a student without that stage."""
+        """Indices in inputs[stage]; empty for a student without that stage."""
         return self.artifacts.get(stage, ())
 
 
 class ReportRequest(Request):
-    """What the report depends on.
+    """Request of the report.
 
-    Its inputs are lists of artifact directories by the name of their stage. Each artifact is listed once, however many
-    entries use it.
+    The inputs are lists of artifact directories, by stage. Each artifact is listed once, for any number of entries.
     """
 
     study: str = Field(description="Name of the study.")
     tasks: tuple[str, ...] = Field(description="Task names in the study's order, which is the order of the task ids.")
     entries: tuple[ReportEntry, ...] = Field(
-        description="Variants in the study's order, and within one its student seeds."
+        description="One entry per variant and student seed, in the study's order."
     )
     report: ReportConfig = ReportConfig()
     configuration: dict[str, JsonValue] = Field(

@@ -1,4 +1,4 @@
-"""How the figures look, and how one becomes the same svg bytes every time."""
+"""Style of the figures, and their reproducible svg text."""
 
 import io
 import re
@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 INK, MUTED, RULE, PAPER = "#1b1c1f", "#6d7178", "#dcdee2", "#fefefe"
-"""Exactly these become CSS variables in the page, so that a figure follows its dark and light theme."""
+"""Colours that become CSS variables in the page, so that a figure follows the dark or light theme."""
 
 PALETTE = ("#2f74c0", "#d1702a", "#2b9a72", "#a4549b", "#b18a1e", "#c0444f", "#4b9fb5", "#7d7468")
-"""Told apart by the colour blind, and legible on white and on near-black."""
+"""Colours of the variants. They are distinguishable for colour-blind readers, and legible on white and near-black."""
 
 _SETTINGS = {
     "svg.fonttype": "none",
@@ -50,23 +50,23 @@ _SETTINGS = {
 
 
 def applied() -> AbstractContextManager:
-    """Figures are drawn inside of it; matplotlib's settings are as before afterwards."""
+    """A context with the style of the figures. Its exit restores matplotlib's settings."""
     return matplotlib.rc_context(_SETTINGS)
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
-    """Name -> colour, by its place, so that a variant keeps its colour through the page."""
+    """Name -> colour, by the index of the name, so that a variant has one colour on the page."""
     return {name: PALETTE[place % len(PALETTE)] for place, name in enumerate(names)}
 
 
 def panels(rows: int, columns: int, width: float, height: float, **share: object) -> tuple[Figure, list[list[Axes]]]:
-    """A grid of axes; width and height in inches at 96 px."""
+    """A figure with a grid of axes. width, height: inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **share).tolist()
 
 
 def svg(figure: Figure, name: str) -> str:
-    """The figure as svg text: no date, ids that depend on nothing but `name` and the drawing."""
+    """The figure as svg text without a date. Its ids depend on `name` and the drawing only."""
     buffer = io.StringIO()
     with matplotlib.rc_context({**_SETTINGS, "svg.hashsalt": name}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Title": name})
@@ -74,7 +74,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def inline(text: str, name: str) -> str:
-    """The svg as a part of an html page: no prologue, ids of its own, colours of the page's theme."""
+    """The svg as a part of an html page: no prologue, ids prefixed by `name`, colours of the page's theme."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{name}-', text)

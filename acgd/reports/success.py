@@ -1,4 +1,4 @@
-"""Success of every student and control, from the episodes alone."""
+"""Success of every student and control, computed from the episodes."""
 
 import pandas as pd
 
@@ -17,15 +17,15 @@ CONTROLS = {
     "expert": "expert",
     "expert-nominal": "expert, nominal start",
 }
-"""Name in the controls stage -> name in the report."""
+"""Name in the stage `controls` -> name in the report."""
 ROW = ["variant", "kind", "seed", "task", *CONDITION]
 
 
 def gather(request: ReportRequest, artifacts: Artifacts) -> pd.DataFrame:
     """One row per episode, columns EPISODE.
 
-    kind: `student` in the headline condition, which is the first one evaluated; `condition` in another one; `control`
-    for a replay, the expert, and a student that sees another episode's images. parent: the variant of a condition.
+    kind: `student` in the headline condition, which is the first one; `condition` in another condition; `control` for
+    a replay, the expert, and a student with shuffled images. parent: variant of the student or of the controls.
     """
     parts = [_of_student(entry, artifacts) for entry in request.entries]
     owners: dict[int, str] = {}
@@ -61,19 +61,19 @@ def _of_controls(artifact: Artifact, owner: str, suffix: str) -> pd.DataFrame:
 
 def _name(variant: str, headline: pd.Series, condition: pd.Series) -> tuple[str, str]:
     """(name, kind) of a student's episodes in one condition."""
-    differs = {field for field in CONDITION if condition[field] != headline[field]}
-    if not differs:
+    changed = {field for field in CONDITION if condition[field] != headline[field]}
+    if not changed:
         return variant, "student"
-    if differs == {"image_features"} and condition["image_features"] == "shuffled":
+    if changed == {"image_features"} and condition["image_features"] == "shuffled":
         return f"control: {variant}, shuffled images", "control"
     words = {"goal": "{} goal", "image_features": "{} image features", "start": "{} start"}
     return ", ".join(
-        [variant, *(words[field].format(condition[field]) for field in CONDITION if field in differs)]
+        [variant, *(words[field].format(condition[field]) for field in CONDITION if field in changed)]
     ), "condition"
 
 
 def table(episodes: pd.DataFrame) -> pd.DataFrame:
-    """success.csv: one row per variant, student seed, task and rule, with Wilson's interval."""
+    """success.csv: one row per variant, student seed, task and rule, with the Wilson interval."""
     rows = []
     for key, group in episodes.groupby(ROW, sort=False, dropna=False):
         for rule in RULES:
@@ -87,7 +87,7 @@ def table(episodes: pd.DataFrame) -> pd.DataFrame:
 def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
     """One row per variant and task: variant, kind, task, episodes, successes, rate, low, high, by_seed.
 
-    Wilson's interval takes the episodes of all student seeds as independent. `by_seed` holds the rate of each student.
+    The Wilson interval assumes that the episodes of all student seeds are independent. by_seed: rate of each student.
     """
     rows = []
     for (variant, kind, task), group in success[success["rule"] == rule].groupby(
@@ -104,24 +104,24 @@ def pooled(success: pd.DataFrame, rule: str) -> pd.DataFrame:
 
 
 def over_tasks(success: pd.DataFrame, rule: str) -> pd.DataFrame:
-    """One row per variant: the mean of its tasks' rates and the t interval over student seeds. Tasks weigh the same.
+    """One row per variant: mean of the tasks' rates, with the t interval over student seeds. Tasks have equal weights.
 
-    Columns variant, kind, rate, low, high, seeds; without a second seed low and high are NaN. The interval is at least
-    as wide as the noise of the episodes.
+    Columns: variant, kind, rate, low, high, seeds. With one seed low and high are NaN. The interval is at least as wide
+    as the noise of the episodes.
     """
     rows = []
     for (variant, kind), group in success[success["rule"] == rule].groupby(["variant", "kind"], sort=False):
         by_seed = group.groupby("seed", dropna=False)["rate"].mean().tolist()
         counts = group.groupby("task", sort=False)[["successes", "episodes"]].sum()
         interval = over_seeds(by_seed, episode_noise(counts["successes"], counts["episodes"]))
-        known = len(by_seed) > 1
+        has_interval = len(by_seed) > 1
         rows.append(
             (
                 variant,
                 kind,
                 interval.mean,
-                interval.low if known else float("nan"),
-                interval.high if known else float("nan"),
+                interval.low if has_interval else float("nan"),
+                interval.high if has_interval else float("nan"),
                 len(by_seed),
             )
         )

@@ -1,4 +1,4 @@
-"""Tables as the page shows them: text, already rounded. The full figures are in the csv files."""
+"""Tables of the page, as rounded text. The csv files have the full precision."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,12 +13,12 @@ from acgd.simulate.proportion import wilson
 
 @dataclass(frozen=True)
 class Cell:
-    """What a reader looks for, and beside it in smaller type how sure it is."""
+    """A value, and its uncertainty in smaller type."""
 
     main: str
     small: str = ""
     kind: str = ""
-    """`name` for text to the left, `strong` for what stands out, `faint` for a control."""
+    """CSS classes: `name` aligns text left, `strong` highlights, `faint` marks a control."""
 
 
 @dataclass(frozen=True)
@@ -31,32 +31,33 @@ class Table:
 
 
 def name(text: str, small: str = "") -> Cell:
+    """A cell with left-aligned text."""
     return Cell(text, small, "name")
 
 
 def rate(row: object, kind: str = "") -> Cell:
-    """0.84 [0.74, 0.91] (63/75), from a row with rate, low, high, successes and episodes."""
+    """The cell 0.84 [0.74, 0.91] (63/75), from a row with rate, low, high, successes and episodes."""
     whole = numbers.proportion(row.rate, row.low, row.high, row.successes, row.episodes)
     main, small = whole.split(" ", 1)
     return Cell(main, small, kind)
 
 
 def interval(mean: float, low: float, high: float, signed: bool = False, seeds: int = SEEDS_FOR_A_CLAIM) -> Cell:
-    """A mean with its interval in small type; strong where a difference excludes zero with seeds enough for a claim."""
+    """A mean with its interval. A signed one is strong if the interval excludes zero and the seeds allow a claim."""
     whole = numbers.difference(mean, low, high) if signed else numbers.proportion(mean, low, high)
     main, _, small = whole.partition(" ")
     return Cell(main, small, "strong" if signed and seeds >= SEEDS_FOR_A_CLAIM and (low > 0 or high < 0) else "")
 
 
 def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kinds: Sequence[str]) -> Table:
-    """Variants down, tasks across, and the mean over tasks with its interval over student seeds."""
+    """One row per variant, one column per task, and the mean over tasks with its interval over student seeds."""
     rows = []
     for variant in dict.fromkeys(pooled.loc[pooled["kind"].isin(kinds), "variant"]):
-        of = pooled[pooled["variant"] == variant].set_index("task")
-        cells = [rate(of.loc[task]) if task in of.index else Cell("–") for task in tasks]
+        by_task = pooled[pooled["variant"] == variant].set_index("task")
+        cells = [rate(by_task.loc[task]) if task in by_task.index else Cell("–") for task in tasks]
         row = mean[mean["variant"] == variant].iloc[0]
-        seeds = max(len(by_seed) for by_seed in of["by_seed"])
-        count = f"{seeds} student seed{'s' * (seeds > 1)}" if of["kind"].iloc[0] == "student" else ""
+        seeds = max(len(by_seed) for by_seed in by_task["by_seed"])
+        count = f"{seeds} student seed{'s' * (seeds > 1)}" if by_task["kind"].iloc[0] == "student" else ""
         rows.append(
             [
                 name(variant.removeprefix("control: "), count),
@@ -68,7 +69,7 @@ def success(pooled: pd.DataFrame, mean: pd.DataFrame, tasks: Sequence[str], kind
 
 
 def differences(paired: pd.DataFrame, rule: str) -> Table:
-    """One row per variant and task: the difference, wins and losses, and each student seed's own difference."""
+    """One row per variant and task: the difference, wins and losses, and the difference of each student seed."""
     rows = []
     for row in paired[paired["rule"] == rule].itertuples():
         label = name(row.task, f"{row.variant} − {row.baseline}")
@@ -87,7 +88,7 @@ def differences(paired: pd.DataFrame, rule: str) -> Table:
 
 
 def drops(drops: pd.DataFrame) -> Table:
-    """What each variant loses on each task without its image."""
+    """Loss of success without the image, per variant and task."""
     rows = [
         [
             name(row.task, row.variant),
@@ -101,7 +102,7 @@ def drops(drops: pd.DataFrame) -> Table:
 
 
 def budget(budget: pd.DataFrame, mean: pd.DataFrame) -> Table:
-    """Per variant its success and what one student took, as the mean over student seeds."""
+    """Success and costs of one student, as means over student seeds, per variant."""
     rates = {row.variant: row for row in mean[mean["kind"] == "student"].itertuples()}
     rows = []
     for variant, group in budget.groupby("variant", sort=False):
@@ -115,7 +116,7 @@ def budget(budget: pd.DataFrame, mean: pd.DataFrame) -> Table:
 
 
 def cost(per_stage: pd.DataFrame) -> Table:
-    """One row per stage, and the sum."""
+    """One row per stage, and a row of totals."""
     rows = [
         [
             name(row.stage),
@@ -133,7 +134,7 @@ def cost(per_stage: pd.DataFrame) -> Table:
 
 
 def artifacts(cost: pd.DataFrame) -> Table:
-    """One row per artifact: its key is its name in the store."""
+    """One row per artifact, with its key in the store."""
     rows = [
         [
             name(row.stage, row.label),
@@ -148,7 +149,7 @@ def artifacts(cost: pd.DataFrame) -> Table:
 
 
 def plain(frame: pd.DataFrame, heads: dict[str, str], names: Sequence[str] = ()) -> Table:
-    """Columns of a frame as they are, to three digits, under readable heads (column -> head)."""
+    """Columns of a frame with three significant digits. heads: column -> head."""
     rows = [
         [name(str(row[c])) if c in names else Cell(numbers.figure(row[c])) for c in heads]
         for _, row in frame.iterrows()
@@ -161,65 +162,66 @@ def _space(row: object) -> list[Cell]:
 
 
 def rules(success: pd.DataFrame) -> Table:
-    """The three success rules side by side, over the student seeds of a variant, per task."""
+    """Success by each of the three rules, per variant and task, over student seeds."""
     students = success[success["kind"] == "student"]
     order = list(dict.fromkeys(students["rule"]))
     rows = []
     for (variant, task), group in students.groupby(["variant", "task"], sort=False):
         cells = []
         for rule in order:
-            of = group[group["rule"] == rule]
-            successes, episodes = int(of["successes"].sum()), int(of["episodes"].sum())
+            counts = group[group["rule"] == rule]
+            successes, episodes = int(counts["successes"].sum()), int(counts["episodes"].sum())
             cells.append(interval_of(successes, episodes))
         rows.append([name(variant, task), *cells])
     return Table(["", *order], rows)
 
 
 def interval_of(successes: int, episodes: int) -> Cell:
+    """A success rate with its Wilson interval and counts."""
     rate = wilson(successes, episodes)
     return Cell(f"{rate.rate:.2f}", f"{numbers.bracket(rate.low, rate.high).strip()} ({successes}/{episodes})")
 
 
 def experts(experts: pd.DataFrame) -> Table:
-    """Algorithm, steps and the card's success."""
+    """Algorithm, training steps and success of each expert."""
     several, rows = experts["task"].duplicated(keep=False).any(), []
     for row in experts.itertuples():
-        about = [Cell(row.algorithm or "–", kind="name"), Cell(numbers.figure(row.steps))]
+        training = [Cell(row.algorithm or "–", kind="name"), Cell(numbers.figure(row.steps))]
         success = rate(row) if pd.notna(row.rate) else Cell("–")
         label = name(row.task, row.variants if several else "")
-        rows.append([label, *about, Cell(row.start or "–", kind="name"), success])
+        rows.append([label, *training, Cell(row.start or "–", kind="name"), success])
     return Table(["task", "algorithm", "environment steps", "starts", "success"], rows)
 
 
 def demonstrations(demonstrations: pd.DataFrame) -> Table:
-    """Demonstrations that were kept, and the environment steps that they took."""
-    twice = demonstrations["task"].duplicated(keep=False).any()
+    """Number of demonstrations, attempts and failures, and environment steps."""
+    several = demonstrations["task"].duplicated(keep=False).any()
     rows = []
     for row in demonstrations.itertuples():
         counts = [
             Cell(numbers.figure(value))
             for value in (row.demonstrations, row.attempts, row.failures, row.frames, row.environment_steps)
         ]
-        rows.append([name(row.task, row.variants if twice else ""), *counts])
+        rows.append([name(row.task, row.variants if several else ""), *counts])
     return Table(["task", "kept", "attempts", "failures", "frames", "environment steps"], rows)
 
 
 def backbone(backbone: pd.DataFrame) -> Table:
-    """Per task how well object and goal are regressed from a held-out frame; the worst target by name."""
+    """Median and worst R^2 of the targets, on held-out frames, per task. The worst target is named."""
     rows = []
     for (variants, task), group in backbone[backbone["r2"].notna()].groupby(["variants", "task"], sort=False):
         worst = group.loc[group["r2"].idxmin()]
-        shown = [
+        cells = [
             Cell(str(len(group))),
             Cell(numbers.plain(group["r2"].median())),
             Cell(numbers.plain(worst["r2"]), worst["target"]),
         ]
-        rows.append([name(task, variants if backbone["variants"].nunique() > 1 else ""), *shown])
+        rows.append([name(task, variants if backbone["variants"].nunique() > 1 else ""), *cells])
     return Table(["task", "targets", "median R²", "worst R²"], rows)
 
 
 def critics(critics: pd.DataFrame) -> Table:
-    """The ranking within a state first, then what is easier."""
+    """Quality of each critic. The first columns are the rank correlations within a state."""
     rows = []
     for row in critics.itertuples():
         cells = [
@@ -227,8 +229,8 @@ def critics(critics: pd.DataFrame) -> Table:
             interval(row.near_mean, row.near_low, row.near_high),
         ]
         others = (row.rank_correlation_monte_carlo, row.bellman_error, row.gain_critic, row.gain_simulator, row.spread)
-        tried = Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}")
-        rows.append([name(row.task), *cells, tried, *(Cell(numbers.figure(value)) for value in others)])
+        counts = Cell(f"{numbers.figure(row.states)} × {numbers.figure(row.candidates)}")
+        rows.append([name(row.task), *cells, counts, *(Cell(numbers.figure(value)) for value in others)])
     head = [
         "task",
         "rank within a state",
@@ -241,12 +243,12 @@ def critics(critics: pd.DataFrame) -> Table:
 
 
 def guidance(gates: pd.DataFrame) -> Table:
-    """Per variant and task: gates, and the ratio of gradient norms, over student seeds."""
+    """Gates and gradient ratios over student seeds, per variant and task."""
     rows = []
     for (variant, task), group in gates.groupby(["variant", "task"], sort=False):
         ratios = group["gradient_ratio"]
         span = f"{100 * ratios.min():.1f}% to {100 * ratios.max():.1f}%" if len(group) > 1 else ""
-        opened = f"{int((group['gate'] > 0).sum())} of {len(group)}"
+        open_gates = f"{int((group['gate'] > 0).sum())} of {len(group)}"
         counts = f"{int((~group['counts_as_none']).sum())} of {len(group)}"
-        rows.append([name(task, variant), Cell(opened), Cell(f"{100 * ratios.mean():.1f}%", span), Cell(counts)])
+        rows.append([name(task, variant), Cell(open_gates), Cell(f"{100 * ratios.mean():.1f}%", span), Cell(counts)])
     return Table(["", "gate open", "gradient ratio", "counts as guided"], rows)

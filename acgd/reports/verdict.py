@@ -1,4 +1,4 @@
-"""The results in sentences. Nothing here depends on which answer is hoped for."""
+"""The results in sentences. The wording follows the intervals only."""
 
 from collections.abc import Sequence, Set
 
@@ -12,19 +12,22 @@ from acgd.reports.settings import ReportRequest
 
 
 def choose_baseline(request: ReportRequest, guided: Set[str]) -> str:
-    """The variant to compare with: the configured one, else the first without guidance, else the first."""
+    """The variant to compare with: the configured one, else the first without guidance, else the first.
+
+    Raises ValueError where the configured variant is unknown.
+    """
     variants, configured = request.variants(), request.report.baseline
     if configured is None:
         return next((variant for variant in variants if variant not in guided), variants[0])
     if configured not in variants:
         raise ValueError(
-            f"report.baseline is {configured!r}, which is no variant of the study; choose one of {', '.join(variants)}"
+            f"report.baseline is {configured!r}, which is no variant of the study: choose one of {', '.join(variants)}."
         )
     return configured
 
 
 def compared(request: ReportRequest, episodes: pd.DataFrame) -> str:
-    """One sentence: variants, tasks, student seeds, episodes."""
+    """A sentence with the variants and the numbers of tasks, student seeds and episodes."""
     variants = request.variants()
     seeds = {entry.seed for entry in request.entries}
     students = episodes[episodes["kind"] == "student"]
@@ -41,9 +44,9 @@ def compared(request: ReportRequest, episodes: pd.DataFrame) -> str:
 def answers(
     request: ReportRequest, paired: pd.DataFrame, mean: pd.DataFrame, baseline: str, guided: Set[str]
 ) -> list[str]:
-    """One sentence per variant: whether it does better than the baseline, by the interval of the paired difference.
+    """One sentence per variant: whether it is better than the baseline, by the interval of the paired difference.
 
-    With fewer than SEEDS_FOR_A_CLAIM student seeds the sentence has the interval and no claim.
+    With fewer than SEEDS_FOR_A_CLAIM student seeds the sentence gives the interval without a claim.
     """
     rates = {row.variant: row.rate for row in mean.itertuples()}
     sentences = []
@@ -56,9 +59,9 @@ def answers(
                 f"{variant} shares no student seed, start and task with {baseline}: there is no paired difference."
             )
             continue
-        whole = rows[rows["task"] == ALL_TASKS]
-        row = (whole if len(whole) else rows).iloc[0]
-        where = f" on {row.task}" if len(request.tasks) > 1 and whole.empty else ""
+        overall = rows[rows["task"] == ALL_TASKS]
+        row = (overall if len(overall) else rows).iloc[0]
+        where = f" on {row.task}" if len(request.tasks) > 1 and overall.empty else ""
         guides = variant in guided and baseline not in guided
         covers = ", an interval that covers zero" if row.low <= 0 <= row.high else ""
         figures = f"{variant} {rates[variant]:.2f}, {baseline} {rates[baseline]:.2f}; paired difference"
@@ -72,7 +75,7 @@ def answers(
 
 
 def _outcome(row: pd.Series, guides: bool, variant: str, baseline: str) -> str:
-    """Better, worse, no difference shown, or no claim."""
+    """First part of the sentence: better, worse, no difference shown, or no claim."""
     if row.seeds < SEEDS_FOR_A_CLAIM:
         question = "whether guidance helps" if guides else f"whether {variant} does better than {baseline}"
         verb = "does" if row.seeds == 1 else "do"
@@ -85,7 +88,7 @@ def _outcome(row: pd.Series, guides: bool, variant: str, baseline: str) -> str:
 
 
 def _few(row: pd.Series) -> str:
-    """The sentence after an interval of few student seeds."""
+    """The sentence that follows the interval if there are too few student seeds for a claim; else empty."""
     if row.seeds == 1:
         return " The interval is of the episodes only; nothing is known of the next student seed."
     if row.seeds < SEEDS_FOR_A_CLAIM:
@@ -95,24 +98,24 @@ def _few(row: pd.Series) -> str:
 
 
 def exceptions(paired: pd.DataFrame, rule: str) -> str:
-    """Tasks whose interval lies to one side of zero, where there are several tasks and seeds enough for a claim."""
+    """Tasks whose interval excludes zero. Empty for one task, or for too few seeds for a claim."""
     tasks = paired[(paired["rule"] == rule) & (paired["task"] != ALL_TASKS)]
     tasks = tasks[tasks["seeds"] >= SEEDS_FOR_A_CLAIM]
     if tasks["task"].nunique() < 2:
         return ""
-    apart = [
+    excluding = [
         f"{row.task} ({row.variant} {numbers.difference(row.mean, row.low, row.high)})"
         for row in tasks.itertuples()
         if row.low > 0 or row.high < 0
     ]
-    if not apart:
+    if not excluding:
         return "On no single task does the interval of the difference exclude zero."
     chance = f"By chance, one of twenty such intervals does; here are {len(tasks)}."
-    return f"Task by task, the interval excludes zero on {numbers.listing(apart)}. {chance}"
+    return f"Task by task, the interval excludes zero on {numbers.listing(excluding)}. {chance}"
 
 
 def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
-    """Whether some task needs its image; None where no student was run with shuffled image features."""
+    """Whether a task needs its image, and a sentence; None without an evaluation with shuffled image features."""
     if drops.empty:
         condition = "no evaluation has a condition with image_features: shuffled"
         return None, f"Whether the students use their images was not measured: {condition}."
@@ -131,7 +134,7 @@ def visual(drops: pd.DataFrame) -> tuple[bool | None, str]:
 
 
 def replay(pooled: pd.DataFrame, tasks: Sequence[str]) -> str:
-    """Tasks on which the replay of a demonstration does as well as the best student."""
+    """A sentence with the tasks on which a replay is about as good as the best student; empty without one."""
     solved = []
     for task in tasks:
         rows = pooled[pooled["task"] == task]
@@ -139,10 +142,10 @@ def replay(pooled: pd.DataFrame, tasks: Sequence[str]) -> str:
         replays = rows[(rows["kind"] == "control") & rows["variant"].str.contains("replay")]
         if students.empty or replays.empty:
             continue
-        best, other = students.loc[students["rate"].idxmax()], replays.loc[replays["rate"].idxmax()]
-        if other.high >= best.rate:
-            name = other.variant.removeprefix("control: ")
-            solved.append(f"{task} ({name} {other.rate:.2f}, best student {best.rate:.2f})")
+        best, best_replay = students.loc[students["rate"].idxmax()], replays.loc[replays["rate"].idxmax()]
+        if best_replay.high >= best.rate:
+            name = best_replay.variant.removeprefix("control: ")
+            solved.append(f"{task} ({name} {best_replay.rate:.2f}, best student {best.rate:.2f})")
     if not solved:
         return ""
     return (
@@ -152,7 +155,7 @@ def replay(pooled: pd.DataFrame, tasks: Sequence[str]) -> str:
 
 
 def idle_guidance(gates: pd.DataFrame) -> str:
-    """Guided students without guidance in effect: closed gates, or gradients below the floor."""
+    """A sentence with guided students whose gate was closed or whose guidance gradient was too small; else empty."""
     if gates.empty:
         return ""
     closed, faint = gates[gates["gate"] == 0], gates[(gates["gate"] != 0) & gates["counts_as_none"]]
@@ -166,12 +169,12 @@ def idle_guidance(gates: pd.DataFrame) -> str:
 
 
 def precision(artifacts: Artifacts) -> str:
-    """Stages whose artifacts ask for bfloat16 and were computed in different precisions."""
+    """A sentence with the stages whose artifacts were computed in different precisions; else empty."""
     mixed = []
     for stage, made in artifacts.items():
-        used = [artifact.precision for artifact in made if artifact.precision is not None]
-        if len(set(used)) > 1:
-            mixed.append(f"{stage} ({used.count('float32')} of {len(used)} in float32)")
+        precisions = [artifact.precision for artifact in made if artifact.precision is not None]
+        if len(set(precisions)) > 1:
+            mixed.append(f"{stage} ({precisions.count('float32')} of {len(precisions)} in float32)")
     if not mixed:
         return ""
     return (
@@ -181,6 +184,7 @@ def precision(artifacts: Artifacts) -> str:
 
 
 def _which(rows: pd.DataFrame) -> str:
+    """Tasks in words, with variant and number of students."""
     per_task = rows.groupby(["variant", "task"], sort=False).size()
     return numbers.listing(
         [f"{task} ({variant}, {count} student{'s' * (count > 1)})" for (variant, task), count in per_task.items()]

@@ -1,4 +1,4 @@
-"""The demonstrations of one task, decoded once into memory."""
+"""The demonstrations of one task, in memory."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ VALIDATION_FRACTION = 0.1
 SPLIT_SEED = 0
 
 BOOKKEEPING = ("episode_ends", "seed")
-"""Always read."""
+"""Arrays that `load` always reads."""
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """E episodes on one flat time axis of T steps; arrays as in docs/rollouts.md."""
+    """E episodes on one time axis of T steps. Arrays: docs/rollouts.md."""
 
     arrays: dict[str, np.ndarray]
-    """Name -> (T, ...), or (E, ...) for what an episode has once."""
+    """Name -> (T, ...) per step, or (E, ...) per episode."""
     episode_ends: np.ndarray
-    """(E,) int64, exclusive."""
+    """(E,) int64, exclusive end of each episode."""
     seeds: np.ndarray
-    """(E,) int64."""
+    """(E,) int64, seed of each episode."""
     reward_terms: tuple[str, ...]
     """Names of the columns of `reward_terms`."""
     state_layout: dict[str, slice]
@@ -32,7 +32,10 @@ class Demonstrations:
 
     @classmethod
     def load(cls, artifact_dir: Path, arrays: Sequence[str], *, failures: bool = False) -> "Demonstrations":
-        """Read the named arrays of a `rollouts` artifact. A missing or damaged chunk is an error."""
+        """Reads the named arrays of a `rollouts` artifact, or of its failed episodes.
+
+        DamagedStoreError where a chunk is missing or damaged. FileNotFoundError where failures were not kept.
+        """
         path = Path(artifact_dir) / "rollouts.zarr"
         attributes = read_attributes(path)
         layout = {name: slice(*columns) for name, columns in attributes["state_layout"].items()}
@@ -53,7 +56,7 @@ class Demonstrations:
 
     @property
     def episode_starts(self) -> np.ndarray:
-        """(E,) int64."""
+        """(E,) int64, first step of each episode."""
         return np.concatenate([[0], self.episode_ends[:-1]]).astype(np.int64)
 
     @property
@@ -64,7 +67,7 @@ class Demonstrations:
     def split(
         self, validation_fraction: float = VALIDATION_FRACTION, seed: int = SPLIT_SEED
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Training and validation episodes, each sorted, and neither empty: a single episode is in both."""
+        """Sorted indices of training and validation episodes. Neither is empty: a single episode is in both."""
         episodes = len(self.episode_ends)
         if episodes == 1:
             return np.zeros(1, np.int64), np.zeros(1, np.int64)
@@ -73,6 +76,6 @@ class Demonstrations:
         return np.sort(order[held_out:]), np.sort(order[:held_out])
 
     def steps_of(self, episodes: np.ndarray) -> np.ndarray:
-        """Flat time indices of all steps of `episodes`, in their order."""
+        """Indices on the time axis of all steps of `episodes`, in the order of `episodes`."""
         starts, ends = self.episode_starts, self.episode_ends
         return np.concatenate([np.arange(starts[e], ends[e]) for e in episodes] or [np.zeros(0, np.int64)])

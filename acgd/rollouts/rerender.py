@@ -1,4 +1,4 @@
-"""See recorded episodes again: the same frames from the stored simulation state, or other sizes and cameras."""
+"""Frames of recorded episodes, rendered again from the stored simulation states."""
 
 from pathlib import Path
 
@@ -15,10 +15,9 @@ from acgd.tasks.snapshot import Snapshot
 def rerender(
     artifact_dir: Path, task: TaskConfig, episodes: list[int] | None = None, image_size: int | None = None
 ) -> dict[int, np.ndarray]:
-    """Frames (T + 1, H, W, 3) uint8 of each episode, the final observation last.
+    """Frames (T + 1, H, W, 3) uint8 of each episode. The last frame is that of the final observation.
 
-    With the task that the episodes were collected from and without `image_size`, they equal the stored ones byte for
-    byte. With another `image_size`, in pixels, they are what the camera would have seen.
+    Without `image_size`, in pixels, and with the task of the rollouts the frames equal the stored frames byte for byte.
     """
     stored = read_attributes(Path(artifact_dir) / "rollouts.zarr")["chunks"]
     fields = [name for name in stored if name.startswith(FIELDS)]

@@ -1,7 +1,7 @@
-"""Arrays of episodes in zarr 3: compressed, checksummed, the same bytes for the same content, damage noticed.
+"""Arrays of episodes in zarr 3: compressed, with checksums, and with equal bytes for equal content.
 
-A missing chunk of a zarr array reads as zeros without a word. So the group's attributes say how many
-chunks every array has, and reading compares.
+zarr reads a missing chunk as zeros without an error. The attributes of a group therefore hold the number of chunks of
+each array, and reading compares it with the files.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,21 +14,21 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 FRAMES_PER_CHUNK = 64
-"""Images. Narrower arrays get as many rows as fit in CHUNK_BYTES."""
+"""Rows of a chunk of images. A chunk of another array has as many rows as fit in CHUNK_BYTES."""
 CHUNK_BYTES = 1 << 20
 
 
 class DamagedStoreError(RuntimeError):
-    """A store with a missing or unreadable part. The message names the file and the mend."""
+    """A part of the store is missing or unreadable. The message names the file and the mend."""
 
 
 def write_group(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> None:
-    """Write `arrays` (names may hold slashes) and `attributes` as a zarr group at `path`, which must not exist."""
+    """Writes `arrays` (names may contain slashes) and `attributes` as a zarr group at `path`, which must not exist."""
     group = zarr.open_group(path, mode="w-", zarr_format=3)
     chunks = {}
     for name in sorted(arrays):
         value = np.ascontiguousarray(arrays[name])
-        written = group.create_array(
+        array = group.create_array(
             name,
             shape=value.shape,
             dtype=value.dtype,
@@ -37,13 +37,13 @@ def write_group(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mappin
             fill_value=0,
             config={"write_empty_chunks": True},
         )
-        written[...] = value
-        chunks[name] = sum(1 for _ in _chunk_files(path, written))
+        array[...] = value
+        chunks[name] = sum(1 for _ in _chunk_files(path, array))
     group.attrs.put({**attributes, "chunks": chunks})
 
 
 def read_attributes(path: Path) -> dict[str, Any]:
-    """The attributes given to `write_group`, and `chunks`: array name -> number of chunk files."""
+    """The attributes of `write_group`, and `chunks`: array name -> number of chunk files. DamagedStoreError."""
     try:
         return dict(zarr.open_group(path, mode="r").attrs)
     except Exception as error:
@@ -53,8 +53,8 @@ def read_attributes(path: Path) -> dict[str, Any]:
 def read_group(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """The named arrays, decoded into memory.
 
-    Raises DamagedStoreError if a chunk of any array of the group is missing, or one of these does not
-    decode; KeyError for a name that the group never had.
+    DamagedStoreError where a chunk of any array of the group is missing, or a named array does not decode. KeyError for
+    a name that is not in the group.
     """
     chunks = read_attributes(path)["chunks"]
     unknown = [name for name in names if name not in chunks]
@@ -79,7 +79,7 @@ def _rows_per_chunk(value: np.ndarray) -> int:
 
 
 def _chunk_files(path: Path, array: zarr.Array) -> Iterator[Path]:
-    """Files of an array's chunks, in order."""
+    """Chunk files of an array, in order."""
     grid = (range(-(-n // c)) for n, c in zip(array.shape, array.chunks))
     for coordinate in product(*grid):
         yield path / array.path / "c" / "/".join(map(str, coordinate))

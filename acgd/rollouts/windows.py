@@ -1,7 +1,6 @@
-"""Demonstrations of several tasks on one time axis, on the device; windows of them as gathers.
+"""Demonstrations of several tasks on one time axis, on the device. A window is a gather by indices.
 
-Everything that a training step needs is an index into tensors that stay where they are: no workers, no
-loop over items.
+A training step needs no data workers and no loop over items.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,22 +15,22 @@ from acgd.rollouts.dataset import Demonstrations
 
 @dataclass(frozen=True)
 class Windows:
-    """Steps of all tasks, concatenated in the order of the study: N = sum of T, K = sum of E."""
+    """Steps of all tasks, concatenated in the order of the study. N steps and K episodes in total."""
 
     steps: dict[str, Tensor]
-    """Name -> (N, ...). Arrays narrower than the widest task's (`state`) are zero-padded on the right."""
+    """Name -> (N, ...). Arrays whose width differs between tasks (`state`) are zero-padded on the right."""
     episodes: dict[str, Tensor]
-    """Name -> (K, ...): what an episode has once."""
+    """Name -> (K, ...), values per episode."""
     task: Tensor
-    """(N,) long: index in the study's list of tasks."""
+    """(N,) long: task id, the index in the study's list of tasks."""
     episode: Tensor
     """(N,) long: index into `episodes`."""
     start: Tensor
     """(N,) long: first step of the step's episode."""
     end: Tensor
-    """(N,) long: one past its last step."""
+    """(N,) long: exclusive end of the step's episode."""
     episode_task: Tensor
-    """(K,) long."""
+    """(K,) long: task id of each episode."""
     training: Tensor
     """(n,) long: steps of the training episodes."""
     validation: Tensor
@@ -45,15 +44,17 @@ class Windows:
         episodes: Sequence[Mapping[str, np.ndarray]],
         device: torch.device,
     ) -> "Windows":
-        """One mapping of (T, ...) and one of (E, ...) arrays per task, from the store or from the features."""
+        """Joins tasks. steps, episodes: one mapping per task, name -> (T, ...) and name -> (E, ...)."""
         lengths = [demo.lengths for demo in demonstrations]
         all_lengths = np.concatenate(lengths)
         ends = np.cumsum(all_lengths)
         first_step = np.cumsum([0, *(part.sum() for part in lengths)])
         splits = [demo.split() for demo in demonstrations]
 
-        def flat(which: int) -> Tensor:
-            parts = [demo.steps_of(split[which]) + at for demo, split, at in zip(demonstrations, splits, first_step)]
+        def steps_of_split(part: int) -> Tensor:
+            parts = [
+                demo.steps_of(split[part]) + offset for demo, split, offset in zip(demonstrations, splits, first_step)
+            ]
             return torch.as_tensor(np.concatenate(parts), device=device)
 
         def per_step(values: np.ndarray) -> Tensor:
@@ -68,33 +69,33 @@ class Windows:
             start=per_step(ends - all_lengths),
             end=per_step(ends),
             episode_task=torch.as_tensor(episode_task, device=device),
-            training=flat(0),
-            validation=flat(1),
+            training=steps_of_split(0),
+            validation=steps_of_split(1),
         )
 
     def chunk(self, t: Tensor, k: int) -> tuple[Tensor, Tensor]:
-        """Indices (B, k) of the steps t .. t+k-1, held at the episode's last step, and the mask (B, k) of its steps."""
+        """Indices (B, k) of steps t .. t+k-1, clamped to the episode's last step, and mask (B, k) of valid steps."""
         index = t[:, None] + torch.arange(k, device=t.device)
         end = self.end[t][:, None]
         return torch.minimum(index, end - 1), index < end
 
     def history(self, t: Tensor, h: int) -> Tensor:
-        """Indices (B, h + 1) of the steps t-h .. t; before the episode's start its first step repeats."""
+        """Indices (B, h + 1) of steps t-h .. t, clamped to the episode's first step."""
         index = t[:, None] + torch.arange(-h, 1, device=t.device)
         return torch.maximum(index, self.start[t][:, None])
 
     def chunk_of(self, name: str, t: Tensor, k: int) -> tuple[Tensor, Tensor]:
-        """`steps[name]` over the chunk, (B, k, ...), and its mask (B, k)."""
+        """`steps[name]` over steps t .. t+k-1, (B, k, ...), and the mask (B, k)."""
         index, mask = self.chunk(t, k)
         return self.steps[name][index], mask
 
     def history_of(self, name: str, t: Tensor, h: int) -> Tensor:
-        """`steps[name]` over s_{t-h:t}, (B, h + 1, ...)."""
+        """`steps[name]` over steps t-h .. t, (B, h + 1, ...)."""
         return self.steps[name][self.history(t, h)]
 
 
 def _join(parts: Sequence[Mapping[str, np.ndarray]], device: torch.device) -> dict[str, Tensor]:
-    """Concatenate arrays by name; a last axis that differs is zero-padded to the widest."""
+    """Concatenates arrays by name. A last axis that differs is zero-padded to the largest width."""
     joined = {}
     for name in parts[0]:
         values = [part[name] for part in parts]

@@ -1,4 +1,4 @@
-"""Several episodes of one task side by side, so that a policy computes one action for each of them at once."""
+"""Several episodes of one task in lockstep, so that a policy computes their actions in one batch."""
 
 from collections.abc import Sequence
 
@@ -12,8 +12,8 @@ from acgd.tasks.snapshot import Snapshot
 class Lockstep:
     """`n` environments of one task.
 
-    After `reset(seeds)` or `restore(snapshots)` with m <= n of them, arrays have m rows. An environment whose episode
-    has ended is not stepped any more: its last observation repeats and its reward is 0.
+    After `reset(seeds)` or `restore(snapshots)` with m <= n episodes, arrays have m rows. An environment is not stepped
+    after the end of its episode: its last observation repeats, and its reward is 0.
     """
 
     def __init__(
@@ -24,24 +24,24 @@ class Lockstep:
         image_size: int | None,
         reward_weights: dict[str, float] | None = None,
     ) -> None:
-        """image_size: pixels a side of the observations' images; None draws none."""
+        """image_size: height and width of the images in pixels; with None no images are rendered."""
         self.envs = [registry.make(task, image_size=image_size, reward_weights=reward_weights) for _ in range(n)]
         self.active = np.zeros(0, bool)
 
     def reset(self, seeds: Sequence[int]) -> dict[str, np.ndarray]:
-        """Start one episode per seed; returns stacked observations."""
+        """Starts one episode per seed. Returns stacked observations."""
         self._check(len(seeds))
         return self._begin([env.reset(seed=seed)[0] for env, seed in zip(self.envs, seeds)])
 
     def restore(self, snapshots: Sequence[Snapshot]) -> dict[str, np.ndarray]:
-        """Go on from one snapshot per environment; returns stacked observations."""
+        """Continues one episode per snapshot. Returns stacked observations."""
         self._check(len(snapshots))
         return self._begin([env.restore(snapshot) for env, snapshot in zip(self.envs, snapshots)])
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict]]:
-        """Step the active environments with their rows of `actions` (m, A).
+        """Steps the active environments with their rows of `actions` (m, A).
 
-        Returns observations, rewards (m,), which episodes ended in this step (m,) bool, and the infos.
+        Returns observations, rewards (m,), done (m,) bool for episodes that ended in this step, and infos.
         """
         reward, done = np.zeros(len(self.active)), np.zeros(len(self.active), bool)
         for i in np.flatnonzero(self.active):
@@ -52,7 +52,7 @@ class Lockstep:
 
     def _check(self, episodes: int) -> None:
         if not 0 < episodes <= len(self.envs):
-            raise ValueError(f"{episodes} episodes for {len(self.envs)} environments: give 1 to {len(self.envs)}")
+            raise ValueError(f"{episodes} episodes for {len(self.envs)} environments: pass 1 to {len(self.envs)}")
 
     def _begin(self, observations: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         self._obs = observations

@@ -1,7 +1,7 @@
-"""The interface between all that acts and all that runs it, and the policies that are made of others.
+"""The policy interface, and policies that wrap or combine other policies.
 
-A policy keeps nothing between two calls: what it carries from step to step is its memory, which `start` makes and `act`
-returns anew. Rows are episodes that run side by side; no row of a memory depends on another row.
+A policy is stateless. Its memory carries information from step to step: `start` creates the memory, and `act` returns a
+new one. A row is one of n episodes in lockstep. No row of a memory depends on another row.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,16 +11,16 @@ from typing import Any, Protocol
 import numpy as np
 
 Observations = dict[str, np.ndarray]
-"""Entry -> (n, ...): `proprio`, `state` and, where it is drawn, `image`, each stacked over n episodes."""
+"""Name -> (n, ...): `proprio`, `state` and, where rendered, `image`, stacked over n episodes."""
 
 
 class Policy(Protocol):
-    """What acts: an expert, a student, a recording, or a mixture of them."""
+    """An expert, a student, a replay, or a wrapper of other policies."""
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         """The memory of n new episodes.
 
-        tasks: (n,) int64, task ids. goals: (n, H, W, 3) uint8 goal images, or None. seeds: those of the episodes.
+        tasks: (n,) int64, task ids. goals: (n, H, W, 3) uint8 goal images, or None. seeds: n episode seeds.
         """
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
@@ -28,7 +28,7 @@ class Policy(Protocol):
 
 
 class StatePolicy(Protocol):
-    """What an expert has to offer. Experts lie above this folder, so that it knows no more of them."""
+    """The part of an expert that policies use. This folder lies below experts/ and cannot import Expert."""
 
     def mean(self, state: np.ndarray) -> np.ndarray:
         """(n, S) -> (n, A)."""
@@ -51,9 +51,9 @@ class Mean:
 
 
 class Sampled:
-    """Actions drawn from an expert's own distribution.
+    """Actions sampled from the distribution of an expert.
 
-    `rng` is one stream for all episodes of a batch. Whoever makes the policy seeds it with their seeds.
+    rng: one stream for all episodes of a batch; the caller seeds it with the episode seeds.
     """
 
     def __init__(self, expert: StatePolicy, rng: np.random.Generator) -> None:
@@ -67,9 +67,9 @@ class Sampled:
 
 
 class Noisy:
-    """Another policy's actions with Gaussian noise of standard deviation `std`, clipped to [-1, 1].
+    """Actions of `policy` with Gaussian noise of standard deviation `std`, clipped to [-1, 1].
 
-    `rng` as in `Sampled`. Both may share one generator.
+    rng: as in `Sampled`. Both may share one generator.
     """
 
     def __init__(self, policy: Policy, std: float, rng: np.random.Generator) -> None:
@@ -96,7 +96,7 @@ class Counted:
 
 
 class Offset:
-    """Another policy's actions plus `offsets` (n, T, A), clipped to [-1, 1]."""
+    """Actions of `policy` plus `offsets` (n, T, A), clipped to [-1, 1]."""
 
     def __init__(self, policy: Policy, offsets: np.ndarray) -> None:
         self.policy, self.offsets = policy, offsets
@@ -110,7 +110,7 @@ class Offset:
 
 
 class FirstThen:
-    """`first` (n, A) in the first step, then another policy, which does not see that step."""
+    """Actions `first` (n, A) in the first step, then those of `policy`, which does not observe the first step."""
 
     def __init__(self, first: np.ndarray, policy: Policy) -> None:
         self.first, self.policy = first, policy
@@ -131,20 +131,20 @@ class Replaying:
 
     seeds: list[int]
     chosen: np.ndarray | None = None
-    """(n,) the recording of each row. None before the first step."""
+    """(n,) index of each row's recording. None before the first step."""
     step: int = 0
 
 
 class Replay:
-    """The actions of a recorded episode whatever is observed, and at its end the last of them again.
+    """Open-loop replay of recorded actions. The last action repeats after the end of the recording.
 
-    `choose` picks a recording for each row from the first observation and the seeds of the episodes.
+    choose: (first observations, episode seeds) -> n indices of recordings.
     """
 
     def __init__(
         self, actions: np.ndarray, ends: np.ndarray, choose: Callable[[Observations, list[int]], Sequence[int]]
     ) -> None:
-        """actions: (T, A) float32 of all recordings, end to end. ends: (E,) int64, exclusive."""
+        """actions: (T, A) float32, concatenated recordings. ends: (E,) int64, exclusive end of each recording."""
         self.actions, self.choose = actions, choose
         self.first, self.last = np.concatenate([[0], ends[:-1]]).astype(np.int64), ends - 1
 
@@ -155,8 +155,8 @@ class Replay:
         chosen = memory.chosen
         if chosen is None:
             chosen = np.asarray(self.choose(observations, memory.seeds))
-        at = np.minimum(self.first[chosen] + memory.step, self.last[chosen])
-        return self.actions[at], Replaying(memory.seeds, chosen, memory.step + 1)
+        rows = np.minimum(self.first[chosen] + memory.step, self.last[chosen])
+        return self.actions[rows], Replaying(memory.seeds, chosen, memory.step + 1)
 
 
 @dataclass(frozen=True)
@@ -167,18 +167,18 @@ class Mixed:
     second: Any
     rngs: list[np.random.Generator]
     by_first: np.ndarray
-    """(n,) bool: rows whose last action is that of the first policy."""
+    """(n,) bool: rows whose last action came from the first policy."""
 
 
 MIXTURE_STREAM = 3
-"""Tells the generators of mixtures apart from others that the same episode seed makes."""
+"""Second entropy of the generators of mixtures, which separates them from other generators of the same seed."""
 
 
 class Mixture:
-    """In each row and step the action of `first` with probability `chance`, else that of `second`.
+    """The action of `first` with probability `chance`, else that of `second`, drawn for each row and step.
 
-    Both are given every step, so that the memory of either is complete. With a chance of 0 `first` is not computed.
-    Each row draws from a generator of its own, seeded with the episode's seed.
+    Both policies act in every step, so that both memories are complete. With a chance of 0 `first` is not evaluated.
+    Each row has its separate generator, seeded with the episode's seed.
     """
 
     def __init__(self, first: Policy, second: Policy, chance: float) -> None:
@@ -193,17 +193,17 @@ class Mixture:
         action, second = self.second.act(observations, memory.second)
         first, by_first = memory.first, np.zeros(len(action), bool)
         if self.chance > 0:
-            wanted, first = self.first.act(observations, memory.first)
+            first_action, first = self.first.act(observations, memory.first)
             by_first = np.array([rng.random() < self.chance for rng in memory.rngs])
-            action = np.where(by_first[:, None], wanted, action)
+            action = np.where(by_first[:, None], first_action, action)
         return action, Mixed(first, second, memory.rngs, by_first)
 
 
 class Padded:
-    """Another policy computed for always `rows` rows, the last one repeated.
+    """`policy` evaluated with a fixed number of `rows` rows; the last row is repeated.
 
-    A matrix product may round differently for another number of rows. With this an episode does not depend on how many
-    episodes run beside it.
+    The rounding of a matrix product depends on the number of rows. The padding makes an episode independent of the
+    number of episodes in the batch.
     """
 
     def __init__(self, policy: Policy, rows: int) -> None:
@@ -211,8 +211,8 @@ class Padded:
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         goals = None if goals is None else padded(goals, self.rows)
-        every = padded(np.asarray(seeds, np.int64), self.rows).tolist()
-        return self.policy.start(padded(np.asarray(tasks), self.rows), goals, every)
+        padded_seeds = padded(np.asarray(seeds, np.int64), self.rows).tolist()
+        return self.policy.start(padded(np.asarray(tasks), self.rows), goals, padded_seeds)
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:
         n = len(next(iter(observations.values())))
@@ -222,7 +222,7 @@ class Padded:
 
 
 class Restricted:
-    """Another policy that is given only the named entries of an observation."""
+    """`policy` with only the named entries of the observations."""
 
     def __init__(self, policy: Policy, entries: Sequence[str]) -> None:
         self.policy, self.entries = policy, entries
@@ -235,7 +235,7 @@ class Restricted:
 
 
 class ShuffledImages:
-    """Another policy that is given the image of the next episode of the batch, at the same time step."""
+    """`policy` with the image of the next episode of the batch, at the same time step."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -253,11 +253,11 @@ class ShuffledImages:
 
 
 STUDENT_ENTRIES = ("image", "proprio")
-"""What a student is given of an observation: never the privileged state."""
+"""Entries of an observation that a student receives. The privileged state is not among them."""
 
 
 def padded(rows: np.ndarray, size: int) -> np.ndarray:
-    """(m, ...) -> (size, ...), the last row repeated. ValueError where there are more than `size`."""
+    """(m, ...) -> (size, ...) by repeating the last row. ValueError where m > size."""
     if len(rows) > size:
         raise ValueError(f"{len(rows)} episodes for a policy of {size} rows: raise its rows or run fewer side by side")
     return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)]) if len(rows) < size else rows

@@ -14,7 +14,7 @@ class Proportion(NamedTuple):
 
 
 def wilson(successes: int, episodes: int, confidence: float = 0.95) -> Proportion:
-    """Wilson's score interval of a success rate. It lies in [0, 1] and has a width at 0 and at all successes, too."""
+    """Wilson score interval of a success rate. It lies in [0, 1], and its width is positive at rates of 0 and 1."""
     if episodes < 1 or not 0 <= successes <= episodes:
         raise ValueError(
             f"{successes} successes of {episodes} episodes: need 0 <= successes <= episodes and at least one episode"

@@ -1,4 +1,4 @@
-"""Recorders: how episodes ended, and whole episodes with all that is needed to see, score or replay them again."""
+"""Recorders: outcomes of episodes, and whole episodes with all data for rendering, scoring and replay."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,25 +10,25 @@ from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.roll import Recorder, Step
 
 Episode = dict[str, np.ndarray]
-"""Name -> array: with a time axis (T, ...), or one per episode (names in ONCE, `final_*`, `model_fields/*`)."""
+"""Name -> array (T, ...) per step, or one value per episode (names in ONCE, `final_*`, `model_fields/*`)."""
 
 ONCE = ("seed", "terminated", "success_final", "success_held", "success_once")
 FINAL = "final_"
 FIELDS = "model_fields/"
 TERMS = "reward_terms/"
-"""Terms of the reward before weighting, each (T,), as the environment reports them."""
+"""Prefix of the reward terms (T,) before weighting."""
 
 
 class Outcomes(Recorder):
-    """How n episodes ended, and what was done in them."""
+    """Outcomes and actions of n episodes."""
 
     def start(self, lock: Lockstep, seeds: Sequence[int]) -> None:
         self.reward = np.zeros(len(seeds))
-        """(n,) sum over the episode"""
+        """(n,) sum of rewards"""
         self.steps = np.zeros(len(seeds), np.int64)
-        """(n,)"""
+        """(n,) number of steps"""
         self.success: list[dict[str, bool]] = [{} for _ in seeds]
-        """final, held and once of each"""
+        """final, held and once of each episode"""
         self._actions: list[np.ndarray] = []
 
     def before(self, lock: Lockstep, step: Step) -> None:
@@ -42,16 +42,16 @@ class Outcomes(Recorder):
 
     @property
     def actions(self) -> np.ndarray:
-        """(T, n, A) float32; rows beyond an episode's steps were not executed."""
+        """(T, n, A) float32. Actions after the end of an episode were not executed."""
         return np.stack(self._actions)
 
 
 class Episodes(Recorder):
-    """Whole episodes, step by step."""
+    """Records whole episodes."""
 
-    def __init__(self, beside: Callable[[Step], Mapping[str, np.ndarray]] | None = None) -> None:
-        """beside: further arrays (n, ...) of a step, by name, computed before it is taken."""
-        self.beside = beside
+    def __init__(self, extra_arrays: Callable[[Step], Mapping[str, np.ndarray]] | None = None) -> None:
+        """extra_arrays: step -> name -> further arrays (n, ...), computed before the step is executed."""
+        self.extra_arrays = extra_arrays
 
     def start(self, lock: Lockstep, seeds: Sequence[int]) -> None:
         self._recordings = [_Recording() for _ in seeds]
@@ -60,9 +60,9 @@ class Episodes(Recorder):
             recording.once |= {FIELDS + name: value for name, value in env.snapshot().model_fields.items()}
 
     def before(self, lock: Lockstep, step: Step) -> None:
-        seen = {**step.observations, "action": step.actions, **(self.beside(step) if self.beside else {})}
+        arrays = {**step.observations, "action": step.actions, **(self.extra_arrays(step) if self.extra_arrays else {})}
         for i in step.running:
-            self._recordings[i].add(**{name: rows[i] for name, rows in seen.items()}, **_physics(lock.envs[i]))
+            self._recordings[i].add(**{name: rows[i] for name, rows in arrays.items()}, **_physics(lock.envs[i]))
 
     def after(self, lock: Lockstep, step: Step) -> None:
         for i in step.running:
@@ -71,19 +71,19 @@ class Episodes(Recorder):
             self._recordings[i].add(reward=np.float32(step.reward[i]), solved=np.bool_(info["solved"]), **terms)
         for i in np.flatnonzero(step.done):
             once = self._recordings[i].once
-            last = {name: rows[i] for name, rows in step.arrived.items()}
-            last["integration"] = _physics(lock.envs[i])["integration"]
-            once |= {FINAL + name: value for name, value in last.items()}
+            final = {name: rows[i] for name, rows in step.next_observations.items()}
+            final["integration"] = _physics(lock.envs[i])["integration"]
+            once |= {FINAL + name: value for name, value in final.items()}
             once |= {f"success_{rule}": np.bool_(met) for rule, met in step.infos[i]["success"].items()}
             once["terminated"] = np.bool_(lock.terminated[i])
 
     def episodes(self) -> list[Episode]:
-        """The finished episodes, in the order of their seeds."""
+        """The finished episodes, in the order of the seeds."""
         return [recording.episode() for recording in self._recordings]
 
 
 def _physics(env) -> Episode:
-    """The full simulation state (N,) float64, and the part of it that people read."""
+    """The full simulation state (N,) float64, and qpos and qvel for readers."""
     integration = np.empty(mujoco.mj_stateSize(env.model, mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_getState(env.model, env.data, integration, mujoco.mjtState.mjSTATE_INTEGRATION)
     return {"integration": integration, "qpos": env.data.qpos.copy(), "qvel": env.data.qvel.copy()}
@@ -91,7 +91,7 @@ def _physics(env) -> Episode:
 
 @dataclass
 class _Recording:
-    """What has been seen of a running episode."""
+    """The data of a running episode."""
 
     steps: dict[str, list] = field(default_factory=dict)
     once: Episode = field(default_factory=dict)

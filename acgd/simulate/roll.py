@@ -1,4 +1,4 @@
-"""The one function that runs a policy in the simulator, and what listens to it."""
+"""The function that runs a policy in the simulator, and the interface of recorders."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,39 +13,39 @@ from acgd.tasks.snapshot import Snapshot
 
 @dataclass
 class Step:
-    """One step of a batch of n episodes. Rows of episodes that ended before hold nothing new."""
+    """One step of a batch of n episodes. Rows of episodes that have ended repeat their last values."""
 
     number: int
-    """0 for the first."""
+    """Number of the step, from 0."""
     running: np.ndarray
-    """(k,) the rows that take this step."""
+    """(k,) rows of the episodes that execute this step."""
     observations: Observations
-    """Before the action."""
+    """Observations before the action."""
     actions: np.ndarray
     """(n, A) float32"""
     memory: Any
-    """The policy's, after it has acted."""
-    arrived: Observations = field(default_factory=dict)
-    """Observations after the action. This and what follows is filled when the step has been taken."""
+    """Memory of the policy after `act`."""
+    next_observations: Observations = field(default_factory=dict)
+    """Observations after the action. This field and the next ones are set after the step is executed."""
     reward: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """(n,) float64"""
     done: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    """(n,) episodes that end with this step, by the simulator or by their limit."""
+    """(n,) bool, episodes that end with this step, by the simulator or by their limit."""
     infos: list[dict] = field(default_factory=list)
-    """The last info of each episode."""
+    """n last infos of the environments."""
 
 
 class Recorder:
-    """Listens to one batch of episodes. A recorder overrides what it needs."""
+    """Records one batch of episodes. A recorder overrides the methods that it needs."""
 
     def start(self, lock: Lockstep, seeds: Sequence[int]) -> None:
-        """The episodes are at their first observation."""
+        """Called at the first observation of the episodes."""
 
     def before(self, lock: Lockstep, step: Step) -> None:
-        """The policy has chosen its actions; nothing has moved."""
+        """Called when the policy has chosen its actions, before the step is executed."""
 
     def after(self, lock: Lockstep, step: Step) -> None:
-        """The step has been taken."""
+        """Called after the step is executed."""
 
 
 def roll(
@@ -59,10 +59,10 @@ def roll(
     limits: np.ndarray | None = None,
     recorders: Sequence[Recorder] = (),
 ) -> None:
-    """Runs one episode per seed, side by side, until the last of them has ended.
+    """Runs one episode per seed in lockstep, until the last episode has ended.
 
-    snapshots: where the episodes go on from; the seeds are then for the policy alone. task: the task's id, as the
-    policy counts. goals: (n, H, W, 3) uint8 or None. limits: (n,) steps, 1 or more, after which an episode ends.
+    snapshots: states that the episodes start from; the seeds then serve the policy alone. task: the policy's task id.
+    goals: (n, H, W, 3) uint8 or None. limits: (n,) steps, at least 1, after which an episode ends.
     """
     observations = lock.reset(seeds) if snapshots is None else lock.restore(snapshots)
     memory = policy.start(np.full(len(seeds), task), goals, list(seeds))
@@ -76,7 +76,7 @@ def roll(
         for recorder in recorders:
             recorder.before(lock, step)
         observations, step.reward, step.done, step.infos = lock.step(step.actions)
-        step.arrived = observations
+        step.next_observations = observations
         number += 1
         if limits is not None:
             step.done |= lock.active & (number >= limits)

@@ -1,18 +1,18 @@
-"""Disjoint ranges of episode seeds, so that nothing is tuned on what it is judged by."""
+"""Disjoint ranges of episode seeds. Tuning and evaluation never share a seed."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class SeedRange:
-    """Half-open range of episode seeds with one purpose."""
+    """Half-open range of episode seeds for one purpose."""
 
     purpose: str
     start: int
     stop: int
 
     def take(self, n: int, offset: int = 0) -> list[int]:
-        """`n` seeds from `offset` on. Raises ValueError when the range has no more."""
+        """`n` seeds from `offset` on. ValueError where they exceed the range."""
         first = self.start + offset
         if n < 0 or offset < 0 or first + n > self.stop:
             raise ValueError(
@@ -38,17 +38,17 @@ class Seeds:
 SEEDS = Seeds()
 
 ROUNDS = 100
-"""Most on-policy rounds of a student."""
+"""Largest number of on-policy rounds of a student."""
 ROUND_EPISODES = 10_000
-"""Most episodes per task in one round."""
+"""Largest number of episodes per task in one round."""
 _BLOCK, _STUDENTS = 100_000, 90
-"""Seeds set aside for one round; places in them where students begin."""
+"""Seeds per round, and number of first seeds in a round that students are distributed over."""
 
 
 def round_seeds(student: int, round: int, episodes: int) -> list[int]:
-    """The on-policy seeds of one round (1, 2, ...) of the student with training seed `student`, `episodes` of them.
+    """`episodes` on-policy seeds of round 1, 2, ... of the student with training seed `student`.
 
-    Two rounds of one student share no seed. Two students may.
+    Two rounds of one student share no seed. Two students may share seeds. ValueError beyond ROUNDS or ROUND_EPISODES.
     """
     if not (1 <= round <= ROUNDS and episodes <= ROUND_EPISODES):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""The project's one writer of files that are either whole or not there."""
+"""The project's one writer of files. A file that it writes is whole or absent."""
 
 import os
 from collections.abc import Callable
@@ -6,10 +6,10 @@ from pathlib import Path
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a draft beside `path`, brings it onto the disk, and only then gives it the name.
+    """Lets `write` fill a draft beside `path`, syncs the draft to the disk, and renames it to `path`.
 
-    A kill leaves the old file, and perhaps the draft, which the next writer overwrites. A file has one writer at a
-    time.
+    A kill leaves the old file. It may leave the draft too, which the next writer overwrites. A file must have one
+    writer at a time. Raises OSError of a full disk, and whatever `write` raises; the draft is removed then.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".draft")
@@ -18,11 +18,11 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
     except BaseException:
-        draft.unlink(missing_ok=True)  # on a full disk it would keep others from writing
+        draft.unlink(missing_ok=True)  # on a full disk the draft would block other writers
         raise
     os.replace(draft, path)
 
 
 def replace_text(path: Path, text: str) -> None:
-    """The same for a text in UTF-8."""
+    """Replaces the file at `path` by a text in UTF-8."""
     replace_file(path, lambda draft: draft.write_text(text, encoding="utf-8"))

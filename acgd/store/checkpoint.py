@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: one safetensors file, replaced whole, so that a kill leaves the old or the new one."""
+"""Checkpoints of a training run: one safetensors file, replaced as a whole. A kill leaves the old or the new one."""
 
 import json
 from pathlib import Path
@@ -15,13 +15,13 @@ FILE = "checkpoint.safetensors"
 
 
 def save(directory: Path, tensors: dict[str, Tensor], notes: dict[str, Any]) -> None:
-    """Tensors, with `notes` as JSON in the header of the same file."""
+    """Writes the tensors, with `notes` as JSON in the header of the same file."""
     ready = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     replace_file(directory / FILE, lambda draft: save_file(ready, draft, metadata={"notes": json.dumps(notes)}))
 
 
 def load(directory: Path) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """What `save` wrote last, or None where there is nothing to go on from."""
+    """Tensors and notes of the last `save`, or None without a checkpoint."""
     if not (directory / FILE).exists():
         return None
     with safe_open(directory / FILE, framework="pt") as file:
@@ -32,7 +32,7 @@ Generators = dict[str, torch.Generator]
 
 
 def training_state(model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators) -> dict[str, Tensor]:
-    """Everything a step depends on, flat: `model.*`, `optimiser.<parameter>.<moment>`, `generator.*`."""
+    """The state that a step depends on, flat: `model.*`, `optimiser.<parameter>.<moment>`, `generator.*`."""
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()} | moments_of(
         optimiser, "optimiser."
     )
@@ -42,7 +42,7 @@ def training_state(model: nn.Module, optimiser: torch.optim.Optimizer, generator
 def restore(
     tensors: dict[str, Tensor], model: nn.Module, optimiser: torch.optim.Optimizer, generators: Generators
 ) -> None:
-    """The inverse of `training_state`."""
+    """Loads model, optimiser and generators from the tensors of `training_state`."""
     model.load_state_dict(under(tensors, "model."))
     restore_moments(optimiser, tensors, "optimiser.")
     for name, generator in generators.items():
@@ -50,13 +50,13 @@ def restore(
 
 
 def moments_of(optimiser: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """`<prefix><parameter>.<moment>` of an optimiser."""
+    """Moments of an optimiser, named `<prefix><parameter>.<moment>`."""
     state = optimiser.state_dict()["state"]
     return {f"{prefix}{index}.{name}": value for index, moments in state.items() for name, value in moments.items()}
 
 
 def restore_moments(optimiser: torch.optim.Optimizer, tensors: dict[str, Tensor], prefix: str) -> None:
-    """The inverse of `moments_of`; other tensors are left alone."""
+    """Loads an optimiser's moments from the tensors of `moments_of`. Ignores tensors without the prefix."""
     moments: dict[int, dict[str, Tensor]] = {}
     for name, value in under(tensors, prefix).items():
         index, moment = name.split(".")
@@ -65,5 +65,5 @@ def restore_moments(optimiser: torch.optim.Optimizer, tensors: dict[str, Tensor]
 
 
 def under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """The tensors whose name begins with `prefix`, without it."""
+    """The tensors whose name begins with `prefix`, under their names without it."""
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

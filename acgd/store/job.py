@@ -1,4 +1,4 @@
-"""Makes one artifact, in the process that the workflow starts for it."""
+"""Makes one artifact. The workflow starts a process for each."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acgd.settings import Request, imported
-from acgd.store.atomic import replace_file
+from acgd.store.atomic import replace_text
 from acgd.store.key import InputKeys, key_of
 from acgd.store.stage import Context, Inputs, Stage
 from acgd.store.store import ArtifactError, Store, Workspace, check
@@ -22,24 +22,28 @@ if TYPE_CHECKING:
     import torch
 
 Identify = Callable[[Stage, Request, InputKeys], dict[str, Any]]
-"""(stage, request, keys of the inputs) -> the identity that the key hashes."""
+"""(stage, request, keys of the inputs) -> the identity, whose hash is the key."""
 
 
 def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store, threads: int, device: str) -> None:
-    """Makes the artifact that `job` (Artifact.job) describes, unless it is there."""
+    """Makes the artifact that `job` (Artifact.job) describes, unless the store has it.
+
+    Raises ArtifactError where the key no longer fits the code, or an input is missing or damaged.
+    """
     place = f"{stage.name}/{job['name']}/{job['key']}"
     request = imported(stage.request).model_validate(job["request"])
     identity = identify(stage, request, _keys(job["inputs"]))
     if key_of(identity) != job["key"]:
         raise ArtifactError(
-            f"{place}: code, simulator or a file that it reads has changed since the workflow was started. Start it again."
+            f"{place}: code, simulator or a file that it reads has changed since the workflow was started. "
+            "Start the workflow again."
         )
     inputs = _inputs(job["inputs"], store, restored=stage.name == "report")
 
     def fill(space: Workspace) -> dict[str, Any]:
         started = time.time()
         resumed = any(space.state.iterdir())
-        _say(place, "going on from its checkpoint" if resumed else "started")
+        _log(place, "going on from its checkpoint" if resumed else "started")
         context = _context(space, threads, device)
         with context.metrics:
             imported(stage.function)(request, inputs, context)
@@ -50,36 +54,39 @@ def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store,
         }
 
     made = store.make(place, identity, fill)
-    _say(place, f"made in {store.path(place)}" if made else "is there already")
+    _log(place, f"made in {store.path(place)}" if made else "is there already")
 
 
 def _keys(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Role -> key, or keys: the last part of each place `<stage>/<name>/<key>`."""
     return {
-        role: [Path(one).name for one in places] if isinstance(places, list) else Path(places).name
+        role: [Path(place).name for place in places] if isinstance(places, list) else Path(places).name
         for role, places in inputs.items()
     }
 
 
 def _inputs(inputs: Mapping[str, Any], store: Store, restored: bool) -> Inputs:
-    """Paths of the inputs, each checked. `restored`: whether the stage reads what was kept of an artifact."""
+    """Role -> path, or paths, of checked artifacts. `restored`: whether the stage accepts restored artifacts."""
     paths = {
-        role: [store.path(one) for one in places] if isinstance(places, list) else store.path(places)
+        role: [store.path(place) for place in places] if isinstance(places, list) else store.path(places)
         for role, places in inputs.items()
     }
-    for path in (one for places in paths.values() for one in (places if isinstance(places, list) else [places])):
-        check(path, restored)
+    for group in paths.values():
+        for path in group if isinstance(group, list) else [group]:
+            check(path, restored)
     return paths
 
 
 def _context(space: Workspace, threads: int, device: str) -> Context:
+    """The context of a stage. Raises ArtifactError where the device is cuda and torch sees no GPU."""
     import torch
 
     from acgd.store.metrics import Metrics
     from acgd.store.progress import Progress
 
     torch.set_num_threads(threads)
-    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    if chosen == "cuda" and not torch.cuda.is_available():
+    device_type = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    if device_type == "cuda" and not torch.cuda.is_available():
         raise ArtifactError(
             "device: cuda, but torch sees no GPU. Set device: auto or cpu, or install a torch with CUDA and its driver."
         )
@@ -88,18 +95,18 @@ def _context(space: Workspace, threads: int, device: str) -> Context:
         state=space.state,
         metrics=Metrics(space.metrics),
         progress=Progress(),
-        device=torch.device(chosen),
+        device=torch.device(device_type),
     )
 
 
 def _usage(started: float, resumed: bool) -> dict[str, Any]:
-    """What the making cost. After a kill it counts from the last start."""
-    used, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    """Time (s) and memory (bytes) of this process. After a kill both count from the last start."""
+    process, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
         "started": started,
         "wall_s": time.time() - started,
-        "cpu_s": used.ru_utime + used.ru_stime + children.ru_utime + children.ru_stime,
-        "peak_rss_bytes": 1024 * max(used.ru_maxrss, children.ru_maxrss),
+        "cpu_s": process.ru_utime + process.ru_stime + children.ru_utime + children.ru_stime,
+        "peak_rss_bytes": 1024 * max(process.ru_maxrss, children.ru_maxrss),
         "resumed": resumed,
     }
 
@@ -123,17 +130,20 @@ def _machine(threads: int, device: "torch.device") -> dict[str, Any]:
 
 
 def _precision(request: Request, device: "torch.device") -> str | None:
-    """The precision that the stage computed in, where its settings name one: bfloat16 falls back to float32."""
+    """The precision that the stage computed in, or None where its settings name none.
+
+    bfloat16 falls back to float32 on hardware without it.
+    """
     from acgd.store.precision import has_bfloat16
 
-    wanted = set(_values_of("precision", request.model_dump()))
-    if "bfloat16" in wanted:
+    configured = set(_values_of("precision", request.model_dump()))
+    if "bfloat16" in configured:
         return "bfloat16" if has_bfloat16(device) else "float32"
-    return "float32" if wanted else None
+    return "float32" if configured else None
 
 
 def _values_of(name: str, settings: Any) -> Iterable[Any]:
-    """The values of a field wherever it stands in nested settings."""
+    """The values of every field `name` in nested settings."""
     if isinstance(settings, dict):
         for key, value in settings.items():
             if key == name:
@@ -153,7 +163,7 @@ def _processor() -> str:
 
 
 def _revision() -> str | None:
-    """Git revision of the code, with a + where files differ from it; none outside a checkout."""
+    """Git revision of the code, with a + where files differ from the revision; None outside a checkout."""
     folder = str(Path(__file__).parent)
     command = ["git", "-C", folder, "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"]
     try:
@@ -162,25 +172,25 @@ def _revision() -> str | None:
         return None
 
 
-def _say(place: str, what: str) -> None:
-    sys.stderr.write(f"{place}: {what}\n")  # one call: jobs side by side share the terminal
+def _log(place: str, event: str) -> None:
+    sys.stderr.write(f"{place}: {event}\n")  # one call: parallel jobs share the terminal
     sys.stderr.flush()
 
 
 def request_file(store: Store, place: str) -> Path:
-    """Where the workflow writes what a job is to make."""
+    """The file in which the workflow describes the artifact that a job makes."""
     return store.work(place) / "request.json"
 
 
 def write_requests(store: Store, jobs: Mapping[str, str]) -> None:
-    """A request file for each artifact that is not there. `jobs`: place -> Artifact.job."""
+    """Writes a request file for each artifact that the store lacks. `jobs`: place -> Artifact.job."""
     for place, job in jobs.items():
         if not store.has(place):
-            replace_file(request_file(store, place), lambda draft, job=job: draft.write_text(job, encoding="utf-8"))
+            replace_text(request_file(store, place), job)
 
 
 def read_request(file: Path) -> dict[str, Any]:
-    """The job in a request file. ArtifactError where the file is none."""
+    """The job in a request file. Raises ArtifactError where the file is no request."""
     try:
         job = json.loads(file.read_text(encoding="utf-8"))
         missing = {"stage", "name", "key", "request", "inputs"} - set(job)

@@ -1,4 +1,4 @@
-"""The key of an artifact: a hash of everything its content depends on, and of nothing else."""
+"""The key of an artifact: a hash of everything that its content depends on, and of nothing else."""
 
 import hashlib
 import json
@@ -16,16 +16,19 @@ from acgd.store.stage import Stage
 KEY_LENGTH = 16
 
 InputKeys = Mapping[str, "str | list[str]"]
-"""Role -> key, or keys, of the artifacts upstream."""
+"""Role -> key, or keys, of the upstream artifacts."""
 
 
 def canonical(value: Any) -> str:
-    """JSON that is the same text for equal values: sorted keys, no spaces, no NaN."""
+    """JSON text, the same for equal values: sorted keys, no spaces. Raises ValueError for NaN and infinity."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def identity(stage: Stage, request: Request, inputs: InputKeys, world: Mapping[str, Any]) -> dict[str, Any]:
-    """What is hashed, as JSON. `world`: what defines the simulated tasks, where the stage simulates or draws them."""
+    """The content that the key hashes.
+
+    world: digests of the task definitions; empty for a stage that neither simulates nor draws.
+    """
     return {
         "stage": stage.name,
         "version": stage.version,
@@ -37,15 +40,17 @@ def identity(stage: Stage, request: Request, inputs: InputKeys, world: Mapping[s
 
 
 def key_of(identity: Mapping[str, Any]) -> str:
-    """The first 16 hex digits of the SHA-256 of the identity: one chance collision in a store of 10^8 artifacts is unlikely (3e-4)."""
+    """The first 16 hex digits of the identity's SHA-256.
+
+    With 10^8 artifacts in a store, the probability of a collision is 3e-4.
+    """
     return hashlib.sha256(canonical(identity).encode()).hexdigest()[:KEY_LENGTH]
 
 
 def in_key(value: Any) -> Any:
-    """`value` as JSON without what must not change a key.
+    """`value` as JSON, without the fields that are declared with `json_schema_extra=OUTSIDE_KEY`.
 
-    Fields declared with `json_schema_extra=OUTSIDE_KEY` are left out. A path counts by the content of the file or folder
-    that it names.
+    A path is replaced by the digest of its file's or folder's content.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
@@ -64,7 +69,7 @@ def in_key(value: Any) -> Any:
 
 
 def content_digest(path: Path) -> str | dict[str, str]:
-    """SHA-256 of a file; of each file, by its place in the folder, for a folder."""
+    """SHA-256 of a file. For a folder: relative path -> SHA-256 of each file."""
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
         return {file.relative_to(path).as_posix(): file_digest(file) for file in files}
@@ -72,7 +77,7 @@ def content_digest(path: Path) -> str | dict[str, str]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file. Within one process a file that looks untouched (inode, size, time) is read once."""
+    """SHA-256 of a file. A process reads a file again only if its inode, size or modification time has changed."""
     stat = path.stat()
     return _digest(path, stat.st_ino, stat.st_size, stat.st_mtime_ns)
 

@@ -1,4 +1,4 @@
-"""One process at a time: the project's lock, across processes, workflows and `acgd gc`."""
+"""The project's lock. It excludes other processes, other workflows and `acgd gc`."""
 
 import os
 import shutil
@@ -10,22 +10,22 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-LOOK_EVERY_S = 1.0
-"""How often a waiting process looks who holds the lock; it tries to take the lock twenty times as often."""
+READ_HOLDER_EVERY_S = 1.0
+"""Interval at which a waiting process reads the holder's name. It tries to take the lock twenty times as often."""
 
 
 @contextmanager
 def held(path: Path, what: str, wait: bool = True) -> Iterator[bool]:
-    """Holds the lock at `path`. Without `wait`, gives False where another process holds it.
+    """Holds the lock at `path`. Yields True; without `wait`, yields False at once where another process holds it.
 
-    A waiting process names the holder on stderr. The lock is the kernel's (flock): it ends with its holder, however
-    that ends, and the file may stay. The holder may remove the folder of the lock (`remove_with_lock`). A process that
-    opened the file before would then lock a file that nobody else can open, so a lock counts only if its file is still
-    at `path`.
+    A waiting process prints `what` and the holder to stderr. The lock is a kernel lock (flock): it ends when the
+    holding process ends, for whatever reason, and the lock file may stay. The holder may remove the lock's folder
+    (`remove_with_lock`). A process that opened the file before the removal would lock a file that no other process can
+    open. A lock therefore counts only if the locked file is still at `path`.
 
-    Processes of several hosts exclude each other where the file system passes flock on (NFS from Linux 2.6.12, Lustre
-    mounted with `flock`). Where flock is local to each host, run the workflow on one host at a time. Where the file
-    system has none, taking the lock fails with OSError.
+    Processes on several hosts exclude each other where the file system supports flock across hosts (NFS from Linux
+    2.6.12, Lustre mounted with `flock`). Where flock is local to a host, run the workflow on one host at a time.
+    Raises OSError where the file system has no flock.
     """
     lock = FileLock(path, fallback_to_soft=False, thread_local=False, on_acquired=lambda file: _sign(file, path))
     taken = _take(lock, path, what, wait)
@@ -37,9 +37,9 @@ def held(path: Path, what: str, wait: bool = True) -> Iterator[bool]:
 
 
 def remove_with_lock(path: Path) -> None:
-    """Removes the folder of the lock at `path`, which the caller holds.
+    """Removes the folder of the lock at `path`. The caller holds the lock.
 
-    The lock goes last: with its file gone, the next holder may begin to fill the folder.
+    The lock file is removed last: after that the next holder may begin to fill the folder.
     """
     for entry in path.parent.iterdir():
         if entry.is_dir():
@@ -49,7 +49,7 @@ def remove_with_lock(path: Path) -> None:
     path.unlink(missing_ok=True)
     try:
         path.parent.rmdir()
-    except OSError:  # the next holder's lock is in it
+    except OSError:  # the folder contains the next holder's lock
         pass
 
 
@@ -58,38 +58,40 @@ class _FileGone(Exception):
 
 
 def _take(lock: FileLock, path: Path, what: str, wait: bool) -> bool:
-    named = None
+    """Acquires the lock. Returns False where another process holds it and `wait` is false."""
+    printed_holder = None
     timeout_s = 0.0
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=timeout_s)
             return True
-        except (FileNotFoundError, FileExistsError, _FileGone):  # the folder was removed in between
+        except (FileNotFoundError, FileExistsError, _FileGone):  # another process has removed the folder
             if path.parent.is_file():
                 raise
         except Timeout:
             if not wait:
                 return False
-            timeout_s, holder = LOOK_EVERY_S, _holder(path)
-            if holder != named:
-                named = holder
+            timeout_s, holder = READ_HOLDER_EVERY_S, _holder(path)
+            if holder != printed_holder:
+                printed_holder = holder
                 print(f"{what}: waiting for {holder}, which is making it", file=sys.stderr, flush=True)
 
 
 def _sign(file: int, path: Path) -> None:
-    """Writes the holder into the locked file."""
+    """Writes this process's id and host into the locked file. Raises _FileGone if `path` is another file or absent."""
     try:
-        there = path.stat()
+        current = path.stat()
     except FileNotFoundError:
         raise _FileGone from None
-    if not os.path.samestat(os.fstat(file), there):
+    if not os.path.samestat(os.fstat(file), current):
         raise _FileGone
     os.ftruncate(file, 0)
     os.pwrite(file, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
 
 
 def _holder(path: Path) -> str:
+    """The holder as `_sign` wrote it."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip() or "another process"
     except FileNotFoundError:

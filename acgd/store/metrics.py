@@ -1,6 +1,6 @@
-"""Curves of a stage: one JSON object a line, beside the artifact they belong to.
+"""Curves of a stage: a file with one JSON object per line, beside the stage's artifact.
 
-The file is the source of truth; MLflow only mirrors it. It holds no clock, so the same run writes the same bytes.
+The file is the source of truth; MLflow mirrors it. The file has no time stamps, so equal runs write equal bytes.
 """
 
 import json
@@ -16,20 +16,20 @@ Row = dict[str, Any]
 """{"step": int, name: float, ...}"""
 
 FLUSH_EVERY = 200
-"""Rows held back at most, so that a curve can be watched while its stage runs."""
+"""Rows in memory at most. The limit lets a user watch the curves of a running stage."""
 
 _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 class Metrics:
-    """Appends rows to `path`. A stage that checkpoints calls `flush` there, and `rewind(step)` when it resumes."""
+    """Appends rows to `path`. A stage calls `flush` before each checkpoint, and `rewind(step)` when it resumes."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         self._pending: list[str] = []
 
     def log(self, step: int, **values: float) -> None:
-        """Adds one row. Values are Python, numpy or torch scalars; non-finite ones are kept as "nan", "inf", "-inf"."""
+        """Adds one row. Values are Python, numpy or torch scalars. Non-finite values become "nan", "inf" or "-inf"."""
         row: Row = {"step": int(step)}
         for name, value in values.items():
             row[name] = _encode(float(value))
@@ -38,7 +38,7 @@ class Metrics:
             self.flush()
 
     def flush(self) -> None:
-        """Brings every row logged so far onto the disk."""
+        """Appends all pending rows to the file and syncs the file to the disk."""
         if not self._pending:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -49,7 +49,7 @@ class Metrics:
         self._pending.clear()
 
     def rewind(self, step: int) -> None:
-        """Drops the rows after `step`, and a last line cut short by a kill: what follows is logged again on resume."""
+        """Drops the rows after `step`, and an incomplete last line. The resumed stage logs these steps again."""
         self.flush()
         if not self.path.exists():
             return
@@ -66,7 +66,7 @@ class Metrics:
 
 
 def read(path: Path) -> list[Row]:
-    """The rows of a metrics file, in the order they were logged; no rows where there is no file."""
+    """The rows of a metrics file in the order of logging; an empty list without a file."""
     path = Path(path)
     if not path.exists():
         return []
@@ -74,13 +74,13 @@ def read(path: Path) -> list[Row]:
 
 
 def _whole_lines(path: Path) -> list[str]:
-    """Lines that end in a newline. A killed writer can leave half a line, and only as the last one."""
+    """Lines that end in a newline. A kill can leave an incomplete last line."""
     with open(path, encoding="utf-8") as file:
         return [line for line in file if line.endswith("\n")]
 
 
 def _encode(value: float) -> float | str:
-    """JSON has no NaN; a diverged loss is worth seeing, so it is kept as a string."""
+    """A finite number, or a string for NaN and infinity, which JSON lacks. The curve of a diverged loss keeps them."""
     return value if math.isfinite(value) else str(value)
 
 

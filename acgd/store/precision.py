@@ -1,14 +1,17 @@
-"""Whether bfloat16, where settings ask for it, is what the hardware computes in."""
+"""The precision of a stage: bfloat16 where the settings name it and the hardware has it, else float32."""
 
 import torch
 
 INSTRUCTIONS = ("avx512_bf16", "amx_bf16", "bf16")
-"""Of x86 and ARM processors, as torch names them."""
+"""Instruction sets of x86 and ARM processors with bfloat16 products, as torch names them."""
 
 
 def in_bfloat16(precision: str, device: torch.device) -> bool:
-    """Whether a stage whose settings say `precision` runs in bfloat16 on `device`. Where the hardware has no such arithmetic it
-    runs in float32: without the instructions, a matrix product in bfloat16 takes ninety times as long (measured on an AMD EPYC with AVX2)."""
+    """Whether a stage with the setting `precision` computes in bfloat16 on `device`.
+
+    A stage computes in float32 on hardware without bfloat16. There a matrix product in bfloat16 takes ninety times as
+    long (measured on an AMD EPYC with AVX2).
+    """
     return precision == "bfloat16" and has_bfloat16(device)
 
 
@@ -17,6 +20,6 @@ def has_bfloat16(device: torch.device) -> bool:
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if device.type == "cpu":
-        found = torch.cpu.get_capabilities()
-        return any(found.get(name) for name in INSTRUCTIONS)
+        capabilities = torch.cpu.get_capabilities()
+        return any(capabilities.get(name) for name in INSTRUCTIONS)
     return True

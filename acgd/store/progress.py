@@ -1,4 +1,4 @@
-"""How far a long stage is: a bar on a terminal, plain lines in a log."""
+"""Progress of a stage: a bar on a terminal, lines of text in a log."""
 
 import sys
 from types import TracebackType
@@ -8,33 +8,33 @@ from tqdm import tqdm
 
 LINE_EVERY_S = 10.0
 LINE_EVERY_SHARE = 0.1
-"""Seconds between two lines of a log: ten, or a tenth of the time that the stage has run."""
+"""Time between two lines of a log: the greater of ten seconds and a tenth of the stage's run time."""
 
 LOG = "{desc}: {share:.0f}% ({n}/{total_fmt}), {rate_noinv_fmt}, {remaining} left{postfix}"
 
 
 class Progress:
-    """`with progress(total, "fitting the critic") as bar: bar.update(loss=0.3)`"""
+    """Makes progress bars: `with progress(total, "fitting the critic") as bar: bar.update(loss=0.3)`."""
 
     def __init__(self, stream: TextIO | None = None, line_every_s: float = LINE_EVERY_S) -> None:
         self.stream = sys.stderr if stream is None else stream
         self.line_every_s = line_every_s
 
     def __call__(self, total: int, what: str, done: int = 0) -> "Bar":
-        """`done` units were done by the run that this one goes on from: they count for the share, not for the rate."""
+        """A bar over `total` units. `done`: units of an earlier run. They count for the share, not for the rate."""
         if self.stream.isatty():
             return Bar(tqdm(total=total, desc=what, initial=done, file=self.stream, dynamic_ncols=True, smoothing=0.05))
         return LogBar(self.stream, self.line_every_s, total, what, done)
 
 
 class Bar:
-    """What a stage does with its progress: `update`, and `with`."""
+    """A progress bar of a stage, used as a context manager."""
 
     def __init__(self, bar: tqdm) -> None:
         self.bar = bar
 
     def update(self, n: int = 1, **shown: float) -> None:
-        """`n` more units are done; `shown` are the figures to see beside the bar, e.g. loss=0.31."""
+        """Adds `n` finished units. `shown`: figures beside the bar, e.g. loss=0.31."""
         if shown:
             self.bar.set_postfix_str(_figures(shown), refresh=False)
         self.bar.update(n)
@@ -49,13 +49,13 @@ class Bar:
 
 
 class LogBar(Bar):
-    """A line at the start, a line at the end, and lines in between, ever more rarely as the stage grows long."""
+    """Writes a line at the start, lines in between, and a line at the end. A long stage writes lines less often."""
 
     def __init__(self, stream: TextIO, line_every_s: float, total: int, what: str, done: int) -> None:
-        going_on = f", going on from {done}" if done else ""
-        start = f"{{desc}}: {{total}} to do{going_on}"
+        resumed = f", going on from {done}" if done else ""
+        first_line = f"{{desc}}: {{total}} to do{resumed}"
         super().__init__(
-            _Shares(total=total, desc=what, initial=done, file=_Lines(stream), bar_format=start,
+            _Shares(total=total, desc=what, initial=done, file=_Lines(stream), bar_format=first_line,
                     unit="", mininterval=line_every_s, miniters=1, smoothing=0)
         )  # fmt: skip
         self.line_every_s = line_every_s
@@ -78,9 +78,9 @@ class LogBar(Bar):
 
 
 class _Shares(tqdm):
-    """tqdm with the field `share`: its own `percentage` is missing where there is nothing to do."""
+    """tqdm with the field `share` (percent). tqdm's `percentage` is missing where the total is zero."""
 
-    monitor_interval = 0  # no thread: every update looks at the clock
+    monitor_interval = 0  # no monitor thread: every update reads the clock
 
     @property
     def format_dict(self) -> dict[str, Any]:
@@ -89,7 +89,7 @@ class _Shares(tqdm):
 
 
 class _Lines:
-    """The stream of a log: each state of the bar, which tqdm begins with a carriage return, becomes a line."""
+    """The stream of a log. It turns each state of the bar, which begins with a carriage return, into a line."""
 
     encoding = "utf-8"
 

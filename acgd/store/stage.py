@@ -1,4 +1,4 @@
-"""A stage: one row of the table in acgd/chain.py, and what its function is given."""
+"""A stage: one row of the table in acgd/chain.py, and the arguments of the stage's function."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +11,11 @@ if TYPE_CHECKING:
     from acgd.store.progress import Progress
 
 Inputs = dict[str, "Path | list[Path]"]
-"""Role -> directory of a published artifact. A list where the stage reads one artifact per task (in the order of the
-study's tasks), or per round and task (round by round)."""
+"""Role -> directory of a published artifact.
+
+The value is a list where the stage reads one artifact per task (in the order of the study's tasks), or per round and
+task (round by round).
+"""
 
 Axis = Literal["seed", "round", "condition", "task"]
 
@@ -22,14 +25,16 @@ class Read:
     """One input of a stage."""
 
     stage: str
-    """The stage upstream. An axis `task` or `seed` that it has and the reader lacks makes the input a list; of several
-    conditions the first, which is the headline, is read."""
+    """The upstream stage. If it has an axis `task` or `seed` that the reader lacks, the input is a list.
+
+    Of several conditions the first one, the headline, is read.
+    """
     role: str = ""
-    """Name of the input; without one, that of the stage."""
+    """Name of the input. Empty: the name of the stage."""
     optional: bool = False
-    """Read only where `Request.uses(stage)`, and where the variant has such artifacts."""
+    """Read only if `Request.uses(stage)` is true and the variant has artifacts of the stage."""
     rounds: Literal["same", "previous", "so far", "last"] = "same"
-    """Which on-policy rounds of a stage upstream that has rounds, seen from the reader's round."""
+    """Which on-policy rounds of the upstream stage are read, relative to the reader's round."""
 
 
 @dataclass(frozen=True)
@@ -38,38 +43,38 @@ class Stage:
 
     name: str
     version: int
-    """Raised when the same request would give another artifact: it and everything downstream is then made anew."""
+    """Increased when new code gives another artifact for the same request. All downstream artifacts are remade too."""
     request: str
-    """Import string of its Request."""
+    """Import string of the stage's Request class."""
     function: str
     """Import string of `function(request, inputs, context) -> None`, which writes into `context.out`."""
     per: tuple[Axis, ...] = ()
-    """There is one artifact for each value of these axes. Without an axis there is one for all tasks and seeds."""
+    """Axes: the stage has one artifact for each combination of their values. Without an axis it has one artifact."""
     reads: tuple[Read, ...] = ()
     wanted: bool = False
-    """Every variant has it. Otherwise it is made only where another stage reads it."""
+    """Every variant has this stage. Otherwise the stage is made only where another stage reads it."""
     beside: str = ""
-    """A stage: wherever a variant has that one, it has this one, too."""
+    """Name of another stage. A variant that has that stage has this one too."""
     first_round: int = 0
-    """Of a stage per round."""
+    """First round of a stage with the axis `round`."""
     simulates: bool = False
-    """It steps the simulator: its key holds what defines an episode of its tasks."""
+    """The stage steps the simulator. Its key holds the digests that define an episode of its tasks."""
     draws: bool = False
-    """It draws pictures: its key holds what defines a picture of its tasks."""
+    """The stage draws pictures. Its key holds the digests that define a picture of its tasks."""
     priority: int = 0
     """The workflow starts jobs of a higher priority first."""
     results: tuple[str, ...] = ()
-    """JSON files of its payload whose numbers MLflow shows."""
+    """JSON files of the payload whose numbers MLflow shows."""
 
 
 @dataclass(frozen=True)
 class Context:
-    """Where a stage writes, and what it reports to."""
+    """Folders, metrics, progress and device of a running stage."""
 
     out: Path
-    """The payload. Published by the caller when the stage returns."""
+    """Folder of the payload. The caller publishes it when the stage returns."""
     state: Path
-    """Checkpoints. Survives a kill, is not published."""
+    """Folder of the checkpoints. It survives a kill and is not published."""
     metrics: "Metrics"
     progress: "Progress"
     device: "torch.device"

@@ -1,11 +1,11 @@
-"""The store: artifacts that are whole, or not there.
+"""The store: every artifact in it is complete.
 
     results/store/<stage>/<name>/<key>/   payload, checksums.json, run.json, and manifest.json, which is written last
-    results/work/<stage>/<name>/<key>/    what is being made: payload/, state/ (checkpoints), metrics.jsonl, lock
+    results/work/<stage>/<name>/<key>/    an unfinished artifact: payload/, state/ (checkpoints), metrics.jsonl, lock
 
-A stage fills `payload/`. Then every file is brought onto the disk and its checksum written to `checksums.json`, the
-folder is renamed into the store, and the manifest makes it an artifact. Killed in between, the next maker goes on from
-what is there: from the checkpoints, or, where only the manifest is missing, from the checksums.
+A stage fills `payload/`. The store then syncs every file to the disk, writes the checksums to `checksums.json`, renames
+the folder into the store, and writes the manifest. A folder with a manifest is an artifact. After a kill the next maker
+resumes from the checkpoints. If only the manifest is missing, the next maker verifies the checksums and writes it.
 """
 
 import errno
@@ -23,18 +23,18 @@ from acgd.store.lock import held, remove_with_lock
 
 MANIFEST, CHECKSUMS, RUN, METRICS = "manifest.json", "checksums.json", "run.json", "metrics.jsonl"
 KEPT = "kept.json"
-"""In an artifact that was restored from kept results: the names of its files that were not kept."""
+"""File of an artifact that was restored from kept results. It names the payload's files that were not kept."""
 NOT_PAYLOAD = (MANIFEST, CHECKSUMS, RUN, KEPT)
 IGNORED = (".snakemake_timestamp",)
 
 
 class ArtifactError(Exception):
-    """An artifact is missing, damaged or cannot be made. The text is meant for the user as it stands."""
+    """An artifact is missing, damaged or cannot be made. The user sees the text unchanged."""
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where an artifact is made."""
+    """Folders and metrics file of an artifact while it is made."""
 
     payload: Path
     state: Path
@@ -53,21 +53,23 @@ class Store:
         return self.root / place
 
     def work(self, place: str) -> Path:
+        """Directory in which the artifact is made."""
         return self.results / "work" / place
 
     def lock(self, place: str) -> Path:
-        """Held by whoever makes or removes the artifact."""
+        """The lock file. The process that makes or removes the artifact holds the lock."""
         return self.work(place) / "lock"
 
     def has(self, place: str) -> bool:
+        """Whether the store has the artifact. The check reads no file."""
         return (self.path(place) / MANIFEST).is_file()
 
     def places(self) -> list[str]:
-        """Every artifact, by stage, name and key."""
+        """Places `<stage>/<name>/<key>` of all artifacts, sorted."""
         return sorted(str(manifest.parent.relative_to(self.root)) for manifest in self.root.glob(f"*/*/*/{MANIFEST}"))
 
     def unfinished(self) -> list[str]:
-        """Folders in the store without a manifest."""
+        """Places of the folders in the store without a manifest, sorted."""
         return sorted(
             str(folder.relative_to(self.root))
             for folder in self.root.glob("*/*/*/")
@@ -75,17 +77,18 @@ class Store:
         )
 
     def in_work(self) -> list[str]:
-        """What has been in the making, and may be."""
+        """Places that have a work folder with a lock file, sorted. A process may hold the lock or not."""
         work = self.results / "work"
         return sorted(str(lock.parent.relative_to(work)) for lock in work.glob("*/*/*/lock"))
 
     def manifest(self, place: str) -> dict[str, Any]:
+        """The manifest. Raises ArtifactError where it is missing or damaged."""
         return _manifest(self.path(place))
 
     def make(self, place: str, identity: Mapping[str, Any], fill: Callable[[Workspace], Mapping[str, Any]]) -> bool:
-        """Has `fill` make the payload and publishes it; False where the artifact is there already.
+        """Calls `fill` to make the payload and publishes it. Returns False where the store has the artifact already.
 
-        `fill` returns run.json.
+        `fill` returns the content of run.json. Raises ArtifactError on a full disk, and whatever `fill` raises.
         """
         path, work = self.path(place), self.work(place)
         try:
@@ -101,8 +104,8 @@ class Store:
                 run = fill(space)
                 self._publish(space, path, run)
                 self._declare(path, place, identity)
-                for left in (space.payload, space.state):
-                    shutil.rmtree(left, ignore_errors=True)
+                for folder in (space.payload, space.state):
+                    shutil.rmtree(folder, ignore_errors=True)
                 return True
         except Exception as error:
             if is_disk_full(error):
@@ -110,26 +113,27 @@ class Store:
             raise
 
     def remove(self, place: str) -> None:
-        """Removes an artifact; waits for whoever is making it."""
+        """Removes an artifact. Waits while another process makes the artifact."""
         with held(self.lock(place), place):
             self._remove(place)
 
     def free(self, place: str) -> bool:
-        """Removes an artifact and what is left of its making; False, at once, where it is being made."""
-        with held(self.lock(place), place, wait=False) as mine:
-            if mine:
+        """Removes an artifact and its work folder. Returns False at once where another process makes the artifact."""
+        with held(self.lock(place), place, wait=False) as locked:
+            if locked:
                 self._remove(place)
                 remove_with_lock(self.lock(place))
-            return mine
+            return locked
 
     def _remove(self, place: str) -> None:
-        """The manifest goes first: half removed, it is no artifact any more."""
+        """Removes the manifest first, so that a partly removed folder is no artifact."""
         path = self.path(place)
         (path / MANIFEST).unlink(missing_ok=True)
         shutil.rmtree(path, ignore_errors=True)
         _drop_empty(path.parent, self.root)
 
     def _publish(self, space: Workspace, path: Path, run: Mapping[str, Any]) -> None:
+        """Syncs the payload, writes checksums and run.json, and renames the folder to `path`."""
         if space.metrics.exists():
             os.replace(space.metrics, space.payload / METRICS)
         files = {file.relative_to(space.payload).as_posix(): _synced_digest(file) for file in _files(space.payload)}
@@ -154,51 +158,51 @@ class Store:
 
 
 def absent(path: Path) -> list[str]:
-    """Files that a restored artifact lacks; none of an artifact that was made here."""
+    """Names of the files that a restored artifact lacks. Empty for an artifact that a stage has made."""
     file = path / KEPT
     return json.loads(file.read_text(encoding="utf-8"))["absent"] if file.is_file() else []
 
 
 def check(path: Path, restored: bool = False) -> None:
-    """Quick look at an artifact before it is read: manifest, and every file at its size.
+    """Checks the manifest, and name and size of every file, before an artifact is read.
 
-    restored: whether the reader does with the small files that a restored artifact has.
+    restored: whether the reader accepts a restored artifact, which has the small files only. Raises ArtifactError.
     """
     manifest = _manifest(path)
     missing = absent(path)
     if missing and not restored:
         raise ArtifactError(
             f"{path} was restored from kept results and lacks {len(missing)} of its files, such as {missing[0]}. "
-            "Only a report reads it. Type: python -m acgd restore --discard, then run the workflow again, which makes it."
+            "Only a report can read it. Type: python -m acgd restore --discard. Then run the workflow, which makes it."
         )
-    found = damages(path, manifest["payload"], read=False)
-    if found:
+    differences = damages(path, manifest["payload"], read=False)
+    if differences:
         raise ArtifactError(
-            f"{path} is damaged: {'; '.join(found[:5])}. "
+            f"{path} is damaged: {'; '.join(differences[:5])}. "
             "Type: python -m acgd verify --repair, then run the workflow again."
         )
 
 
 def damages(path: Path, payload: Mapping[str, Mapping[str, Any]], read: bool = True) -> list[str]:
-    """What differs from the checksums, file by file; only sizes are compared unless `read`."""
-    found, not_kept = [], set(absent(path))
+    """Differences between the files and their checksums, one text each. Without `read`, names and sizes only."""
+    differences, not_kept = [], set(absent(path))
     for name, known in payload.items():
         file = path / name
         if name in not_kept and not file.exists():
             continue
         if not file.is_file():
-            found.append(f"{name} is missing")
+            differences.append(f"{name} is missing")
         elif file.stat().st_size != known["bytes"]:
-            found.append(f"{name} has {file.stat().st_size} bytes instead of {known['bytes']}")
+            differences.append(f"{name} has {file.stat().st_size} bytes instead of {known['bytes']}")
         elif read and file_digest(file) != known["sha256"]:
-            found.append(f"{name} has other content than was written")
+            differences.append(f"{name} has other content than was written")
     present = {file.relative_to(path).as_posix() for file in _files(path)}
-    found.extend(f"{name} does not belong to it" for name in sorted(present - set(payload)))
-    return found
+    differences.extend(f"{name} does not belong to it" for name in sorted(present - set(payload)))
+    return differences
 
 
 def is_disk_full(error: BaseException | None) -> bool:
-    """Also where a library has wrapped the error in its own."""
+    """Whether the error, or an error that caused it, is a full disk or an exceeded quota."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             return True
@@ -207,10 +211,11 @@ def is_disk_full(error: BaseException | None) -> bool:
 
 
 def disk_full(place: str, results: Path) -> ArtifactError:
+    """The error for the user."""
     free = shutil.disk_usage(results).free / 2**20
     return ArtifactError(
         f"{place}: the disk of {results.resolve()} is full ({free:.0f} MiB free). Nothing published is lost, "
-        "and checkpoints are kept. Make room (python -m acgd gc frees what no study names), "
+        "and checkpoints are kept. Make room (python -m acgd gc frees artifacts that no study names), "
         "then run the workflow again."
     )
 
@@ -220,7 +225,7 @@ def _manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads((path / MANIFEST).read_text(encoding="utf-8"))
         assert manifest["key"] == path.name and manifest["payload"]
     except FileNotFoundError:
-        raise ArtifactError(f"{path}: there is no such artifact. Run the workflow, which makes it.") from None
+        raise ArtifactError(f"{path}: no such artifact. Run the workflow, which makes it.") from None
     except (ValueError, KeyError, TypeError, AssertionError):
         raise ArtifactError(
             f"{path}: {MANIFEST} is damaged. Type: python -m acgd verify --repair, then run the workflow again."
@@ -236,7 +241,7 @@ def _checksums(path: Path) -> dict[str, Any]:
 
 
 def _workspace(work: Path) -> Workspace:
-    """Keeps the last maker's checkpoints; removes its half-written payload, and curves without a checkpoint."""
+    """Keeps the last maker's checkpoints. Removes its incomplete payload, and its metrics if it has no checkpoint."""
     space = Workspace(work / "payload", work / "state", work / METRICS)
     shutil.rmtree(space.payload, ignore_errors=True)
     space.payload.mkdir(parents=True)
@@ -247,6 +252,7 @@ def _workspace(work: Path) -> Workspace:
 
 
 def _files(folder: Path) -> Iterator[Path]:
+    """Files of the payload, sorted."""
     for file in sorted(folder.rglob("*")):
         if file.is_file() and file.name not in IGNORED and not (file.parent == folder and file.name in NOT_PAYLOAD):
             yield file
@@ -264,7 +270,7 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _move(folder: Path, path: Path) -> None:
-    """Renames `folder`. Makes the parent of `path` again where the removal of another artifact has just taken it."""
+    """Renames `folder` to `path`. Makes the parent again if a concurrent removal of another artifact has removed it."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -1,4 +1,4 @@
-"""From chunks to one action per step, for a batch of environments in lockstep."""
+"""A policy that turns chunks into one action per step (Section III-A), for environments in lockstep."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,33 +15,33 @@ from acgd.students.student import Student
 
 @dataclass(frozen=True)
 class Memory:
-    """What a policy carries from step to step, a row per environment.
+    """State of the policy between steps, one row per environment.
 
-    Rows never mix: environments may end at different times.
+    Rows are independent, since environments may end at different times.
     """
 
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F) goal features, or (n, H, W, 3) uint8 goal images where the student owns its CNN."""
+    """(n, F) goal features, or (n, H, W, 3) uint8 goal images for a student with a CNN. None: no goal image."""
     proprio: np.ndarray
-    """(n, h, P) float32, oldest first; before the first step that step's repeats."""
+    """(n, h, P) float32, oldest first. The first step's proprioception fills the steps before it."""
     chunks: np.ndarray
-    """(n, k, k, A) float32: [:, i] is the chunk planned i steps ago."""
+    """(n, k, k, A) float32: [:, i] is the chunk planned i steps ago. With open-loop only [:, 0] is used."""
     steps: np.ndarray
     """(n,) int64, actions taken so far."""
 
 
 class ChunkPolicy:
-    """A student that plans chunks, acting on `image` and `proprio`. It takes no state, and reads none."""
+    """Policy of a student that plans chunks. It reads `image` and `proprio`, and no privileged state."""
 
     def __init__(self, student: Student, perception: Perception, acting: ActingConfig) -> None:
         self.student, self.perception, self.acting = student.eval(), perception, acting
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """tasks (n,); goal images (n, H, W, 3) uint8, or None for a student trained without.
+        """The memory before the first step. tasks (n,); goals (n, H, W, 3) uint8, or None without goal images.
 
-        `seeds` are for policies that sample; this one takes the likeliest chunk.
+        The policy ignores `seeds`, since it takes the likeliest chunk. Raises ValueError where goal images are missing.
         """
         settings, sizes, n = self.student.settings, self.student.sizes, len(tasks)
         return Memory(
@@ -54,7 +54,7 @@ class ChunkPolicy:
 
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
         """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
-        memory = replace(memory, proprio=_remember(obs["proprio"], memory))
+        memory = replace(memory, proprio=_append(obs["proprio"], memory))
         k, age = self.student.settings.chunk, memory.steps % self.student.settings.chunk
         rows = np.arange(len(age))
         if self.acting.mode != "open-loop" or (age == 0).any():
@@ -78,13 +78,13 @@ class ChunkPolicy:
 
     @torch.inference_mode()
     def _plan(self, images: np.ndarray, memory: Memory) -> np.ndarray:
-        """-> (n, k, A)."""
+        """The student's chunks for images (n, H, W, 3) -> (n, k, A)."""
         goal, proprio, task = (self.perception.tensor(x) for x in (memory.goal, memory.proprio, memory.task))
         return self.student.plan(Observation(self.perception.see(images), goal, proprio, task)).cpu().numpy()
 
 
-def _remember(proprio: np.ndarray, memory: Memory) -> np.ndarray:
-    """The history with the newest proprioception (n, P) last; on a row's first step it fills the whole history."""
+def _append(proprio: np.ndarray, memory: Memory) -> np.ndarray:
+    """Appends proprioception (n, P) to the history (n, h, P). On a row's first step it fills the whole history."""
     newest = np.asarray(proprio, np.float32)[:, None]
-    moved = np.concatenate([memory.proprio[:, 1:], newest], axis=1)
-    return np.where((memory.steps == 0)[:, None, None], newest, moved)
+    appended = np.concatenate([memory.proprio[:, 1:], newest], axis=1)
+    return np.where((memory.steps == 0)[:, None, None], newest, appended)

@@ -1,4 +1,4 @@
-"""Rollouts as tensors, and balanced batches of windows from them."""
+"""Rollouts as tensors, and batches of windows that are balanced over tasks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -21,51 +21,56 @@ LABELS = {"mean": "mean_action", "executed": "action"}
 
 @dataclass(frozen=True)
 class Observation:
-    """All that a student may read. The privileged state is no part of it."""
+    """The inputs of a student. They exclude the privileged state."""
 
     vision: Tensor
-    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images where the student owns its CNN."""
+    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images for a student with a CNN."""
     goal: Tensor | None
-    """The same for the goal image o_T."""
+    """Goal image o_T, in the form of `vision`. None for a student without goal images."""
     proprio: Tensor
-    """(B, h, P), oldest first; the last row is the current one."""
+    """(B, h, P), oldest first. The last row belongs to the current step."""
     task: Tensor
     """(B,) long, index in the study's list of tasks."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Windows that begin at the steps t (B,)."""
+    """B windows."""
 
     t: Tensor
+    """(B,) long, first steps of the windows."""
     observation: Observation
     chunk: Tensor
-    """(B, k, A) labels a_{t:t+k}; past the episode's end its last label repeats."""
+    """(B, k, A) labels a_{t:t+k}. The last label of an episode repeats past its end."""
     mask: Tensor
     """(B, k) true on steps inside the episode."""
     weight: Tensor
-    """(B,) of the imitation loss: 0 where a window has no label, else 1."""
+    """(B,) weight of the imitation loss: 0 for a window without a label, else 1."""
     targets: dict[str, Tensor]
-    """Name -> (B, ...): what the kind of student has computed for each window."""
+    """Name -> (B, ...): targets from `Student.prepare`."""
 
 
 @dataclass(frozen=True)
 class Data:
-    """Windows over the rollouts of every task, with vision as features, or as images where the student owns its CNN.
+    """Windows over the rollouts of all tasks.
 
-    Steps: `vision`, `proprio`, `label`, `weight` and, for guidance, `state`. Episodes: `goal`.
+    Arrays of `windows.steps`: `vision`, `proprio`, `label`, `weight` and, for guidance, `state`. Array of
+    `windows.episodes`: `goal`. `vision` and `goal` are features, or images for a student with a CNN.
     """
 
     windows: Windows
     by_task: list[Tensor]
-    """Training steps of each task."""
+    """Training steps of each task, each (n_i,) long."""
     goals: list[Tensor]
-    """Training episodes of each task whose last image may be a goal: demonstrations, which all succeeded."""
+    """Training episodes of each task whose last image may be a goal: the demonstrations, which all succeeded."""
     demonstrated: Tensor
-    """(K,) bool: episodes that are demonstrations, not on-policy episodes."""
+    """(K,) bool: true for demonstrations, false for on-policy episodes."""
     goal_image: str
+    """Setting `imitation.goal_image`."""
     k: int
+    """Actions in a window."""
     h: int
+    """Proprioceptive states in a window."""
     targets: dict[str, Tensor] = field(default_factory=dict)
     """Name -> (N, ...), see Batch."""
 
@@ -81,10 +86,10 @@ class Data:
         device: torch.device,
         onpolicy_labels: str = "expert",
     ) -> "Data":
-        """Reads the inputs `rollouts` and `onpolicy`, with `features` and `onpolicy_features`, or else the images.
+        """Reads the inputs `rollouts` and `onpolicy`, with their features, or their images if there are no features.
 
-        `states`: read the privileged states too, for guidance. `onpolicy_labels`: expert, or none; with none the action
-        of an on-policy window is the executed one, and its weight is 0.
+        states: also read the privileged states, for guidance. onpolicy_labels: `expert` or `none`. With `none` the
+        label of an on-policy step is the executed action, and its weight is 0.
         """
         label, labelled = ("mean_action", 1.0) if onpolicy_labels == "expert" else ("action", 0.0)
         tasks = len(inputs["rollouts"])
@@ -103,7 +108,7 @@ class Data:
     def of(
         cls, windows: Windows, imitation: ImitationConfig, chunk: int, history: int, demonstrated: Tensor | None = None
     ) -> "Data":
-        """Over windows; without `demonstrated` (K,) all their episodes are demonstrations."""
+        """Data over `windows`. Without `demonstrated` (K,) bool all episodes are demonstrations."""
         if demonstrated is None:
             demonstrated = torch.ones_like(windows.episode_task, dtype=torch.bool)
         tasks = int(windows.episode_task.max()) + 1
@@ -112,7 +117,7 @@ class Data:
         return cls(
             windows=windows,
             by_task=by_task,
-            goals=[of_task[demonstrated[of_task]] for of_task in episodes],
+            goals=[task_episodes[demonstrated[task_episodes]] for task_episodes in episodes],
             demonstrated=demonstrated,
             goal_image=imitation.goal_image,
             k=chunk,
@@ -120,11 +125,11 @@ class Data:
         )
 
     def with_targets(self, targets: dict[str, Tensor]) -> "Data":
-        """The same, whose batches hold the kind's targets."""
+        """A copy whose batches hold these targets."""
         return replace(self, targets=targets)
 
     def sample(self, n: int, generator: torch.Generator) -> Tensor:
-        """n training steps, task by task in turn, so that any first rows of a batch are balanced too -> (n,)."""
+        """Draws n training steps, alternating over the tasks, so that every prefix of a batch is balanced -> (n,)."""
         tasks, device = len(self.by_task), self.windows.task.device
         rows = -(-n // tasks)
         drawn = [
@@ -133,7 +138,7 @@ class Data:
         return torch.stack(drawn, dim=1).flatten()[:n]
 
     def batch(self, t: Tensor, generator: torch.Generator) -> Batch:
-        """The windows at t (B,); the generator draws goals where any training goal of the task will do."""
+        """The windows at the steps t (B,). The generator draws the goal images that are not fixed."""
         windows = self.windows
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
@@ -143,27 +148,30 @@ class Data:
         return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 
     def reference(self, batch: Batch, n: int | None = None) -> Reference:
-        """What guidance sees of the first n windows of a batch."""
+        """The data of the first n windows of a batch that guidance reads."""
         states, _ = self.windows.chunk_of("state", batch.t[:n], self.k)
         return Reference(states, batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
 
     def _goal(self, t: Tensor, task: Tensor, generator: torch.Generator) -> Tensor | None:
-        """Any training goal of the task, or the episode's own. On-policy episodes may have failed: they have none."""
+        """Goals of the windows: any training goal of the task, or the goal of the window's episode.
+
+        An on-policy episode may have failed. Its windows get any training goal of the task.
+        """
         if self.goal_image == "off":
             return None
         episode = self.windows.episode[t]
-        own = self.demonstrated[episode]
-        if self.goal_image == "any" or not own.all():
+        has_goal = self.demonstrated[episode]
+        if self.goal_image == "any" or not has_goal.all():
             share = torch.rand(len(t), generator=generator, device=t.device)
             counts = torch.tensor([len(goals) for goals in self.goals], device=t.device)
             offsets = counts.cumsum(0) - counts
             drawn = torch.cat(self.goals)[offsets[task] + (share * counts[task]).long()]
-            episode = drawn if self.goal_image == "any" else torch.where(own, episode, drawn)
+            episode = drawn if self.goal_image == "any" else torch.where(has_goal, episode, drawn)
         return self.windows.episodes["goal"][episode]
 
 
 def _pairs(inputs: Inputs, rollouts: str, features: str) -> list[tuple[Path, Path | None]]:
-    """Rollouts with their features, None where there are no features; nothing where the role is absent."""
+    """(rollouts, features) of each artifact. Features are None where absent. Empty if the role is absent."""
     paths = inputs.get(rollouts, [])
     return list(zip(paths, inputs.get(features) or [None] * len(paths), strict=True))
 
@@ -171,27 +179,27 @@ def _pairs(inputs: Inputs, rollouts: str, features: str) -> list[tuple[Path, Pat
 def _read(
     rollouts: Path, features: Path | None, label: str, *, weight: float, states: bool
 ) -> tuple[Demonstrations, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]:
-    """One artifact: its episodes, and the arrays of its steps and of its episodes that Data joins."""
+    """Episodes of one artifact, the arrays per step, and the arrays per episode."""
     names = ["proprio", label, *(["state"] if states else [])]
     episodes = Demonstrations.load(rollouts, names + (["image", "final_image"] if features is None else []))
-    seen = (
+    vision = (
         episodes.arrays if features is None else read_group(Path(features) / "features.zarr", ["image", "final_image"])
     )
     steps = {
-        "vision": seen["image"],
+        "vision": vision["image"],
         "proprio": episodes.arrays["proprio"],
         "label": episodes.arrays[label],
         "weight": np.full(len(episodes.arrays["proprio"]), weight, np.float32),
     }
     if states:
         steps["state"] = episodes.arrays["state"]
-    return episodes, steps, {"goal": seen["final_image"]}
+    return episodes, steps, {"goal": vision["final_image"]}
 
 
 def _by_task(windows: Windows, tasks: int) -> Windows:
-    """Windows joined from demonstrations of each task and then rollouts round by round, numbered by task.
+    """Renumbers windows by task. They hold one set of demonstrations per task, then one set per round and task.
 
-    All on-policy steps are for training: validation stays that of the demonstrations.
+    All on-policy steps are for training. Validation uses the demonstrations only.
     """
     onpolicy = windows.task[windows.validation] >= tasks
     return replace(

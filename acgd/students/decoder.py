@@ -9,10 +9,10 @@ from acgd.students.transformer_settings import TransformerSettings
 
 
 class ActionDecoder(nn.Module):
-    """psi_dec, k learned queries that attend to a context, [z_q, z_state, z_task] in acgd: -> a_hat_{t:t+k}.
+    """psi_dec, a transformer: k learned queries attend to a context, in acgd [z_q, z_state, z_task] -> a_hat_{t:t+k} in
+    (-1, 1)^A.
 
-    The tanh keeps actions strictly inside the box (-1, 1), so that nothing downstream clamps them and no gradient of Q
-    is lost to a clamp.
+    The tanh keeps actions inside the box. No later step has to clamp them, which would stop the gradient of Q.
     """
 
     def __init__(self, settings: TransformerSettings, sizes: Sizes) -> None:

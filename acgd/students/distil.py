@@ -1,9 +1,10 @@
-"""The stage `student`: L = alpha L_BC + gate_i L_distill, divided by alpha, for any kind of student and of guidance.
+"""The stage `student`: minimises L_BC + gate_i L_distill / alpha for any kind of student and of guidance.
 
-The loss is divided by alpha, so that neither the clipping of gradients nor a student without guidance depends on it.
+The paper's loss (Eq. 1) is alpha times this one. The division by alpha makes the clipping of gradients, and a student
+without guidance, independent of alpha.
 
-In round 0 the student learns from demonstrations. In round r it goes on from the weights of round r - 1 with the
-on-policy rollouts of all rounds so far, and keeps its normalisers and codebook.
+Round 0 trains on demonstrations. Round r continues from the weights of round r - 1, adds the on-policy rollouts of the
+rounds 1 to r, and keeps normalisers and codebook.
 """
 
 import torch
@@ -22,15 +23,18 @@ from acgd.students.student import Student
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
+"""Windows."""
 PLAN_ERROR = "validation_plan_error"
-"""Chooses the best weights: the error of what the student would do, per action component. L_BC would not do for every
-kind: a cross-entropy of codes grows with confidence while the plan still improves."""
+"""Score that selects the best weights: error of the student's plan per action component.
+
+L_BC does not suit every kind: a cross-entropy of codes can grow with confidence while the plan still improves.
+"""
 ROUND_SEEDS = 1_000_000
-"""Apart by this much, the generators of two rounds are those of no other student."""
+"""Distance between the generator seeds of two rounds, greater than the usual student seeds."""
 
 
 def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
-    """Trains the student and writes best.safetensors, last.safetensors and student.json."""
+    """Trains the student. Writes best.safetensors, last.safetensors and student.json."""
     settings, names = request.student, [task.name for task in request.tasks]
     training = request.training
     if request.rounds is not None:
@@ -48,8 +52,8 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
     student = start(request, data, inputs, ctx.device)
     data = data.with_targets(student.prepare(data, inputs))
     generators = {
-        name: torch.Generator(ctx.device).manual_seed(request.seed + at + ROUND_SEEDS * request.round)
-        for at, name in enumerate(("data", "sample"))
+        name: torch.Generator(ctx.device).manual_seed(request.seed + index + ROUND_SEEDS * request.round)
+        for index, name in enumerate(("data", "sample"))
     }
     tally: dict[str, float] = {}
     guided = 0 if guidance is None else guidance.rows(training.batch)
@@ -98,7 +102,7 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def start(request: StudentRequest, data: Data, inputs: Inputs, device: torch.device) -> Student:
-    """A student before its first step: initialised by the seed, or with the last weights of the round before."""
+    """The student before its first step: initialised from the seed, or with the last weights of the previous round."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(request.seed)
         student = new_student(request.student, request.imitation, sizes_of(data, inputs)).to(device)
@@ -111,8 +115,11 @@ def start(request: StudentRequest, data: Data, inputs: Inputs, device: torch.dev
 
 @torch.no_grad()
 def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[str, float]:
-    """On the held-out demonstrations: the kind's scores; the error of what the student would do, which chooses the best
-    weights; and its gain over the demonstration by the guidance."""
+    """Mean scores on the held-out demonstrations.
+
+    The scores are those of the student's kind, PLAN_ERROR, and `validation_gain`, the guidance's gain of the plan over
+    the demonstration.
+    """
     student.eval()
     generators: Generators = {"data": torch.Generator(data.windows.task.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}

@@ -1,4 +1,4 @@
-"""The normalised inputs of every kind of student. Nothing here can hold the privileged state."""
+"""The normalised inputs of every kind of student. They have no place for the privileged state."""
 
 from typing import NamedTuple
 
@@ -13,18 +13,18 @@ from acgd.vision.cnn import SmallCNN
 
 
 class Normalised(NamedTuple):
-    """What the networks read."""
+    """Inputs of the networks."""
 
     vision: Tensor
     """(B, F)."""
     goal: Tensor | None
-    """(B, F), None for a student without a goal image."""
+    """(B, F); None for a student without a goal image."""
     proprio: Tensor
     """(B, h, P)."""
 
 
 class StudentInputs(nn.Module):
-    """Observation -> normalised features of o_t and o_T, and proprioception."""
+    """Observation -> normalised features of o_t and o_T, and normalised proprioception."""
 
     def __init__(self, sizes: Sizes, *, goal_image: bool) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class StudentInputs(nn.Module):
         self.goal_image = goal_image
 
     def fit(self, windows: Windows) -> None:
-        """Normalise by the statistics of the training steps."""
+        """Fits the normalisers to the training steps."""
         self.proprio.fit(windows.steps["proprio"][windows.training])
         if self.cnn is None:
             self.features.fit(windows.steps["vision"][windows.training])
@@ -42,18 +42,22 @@ class StudentInputs(nn.Module):
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
     ) -> Normalised:
-        """`noise` is the standard deviation of Gaussian noise on the normalised inputs, for training."""
+        """noise: standard deviation of Gaussian noise on the normalised inputs, for training.
+
+        Raises ValueError where the student uses goal images and the observation has none.
+        """
 
         def perturbed(x: Tensor) -> Tensor:
             return x if noise == 0 else x + noise * torch.randn(x.shape, generator=generator, device=x.device)
 
-        def seen(vision: Tensor) -> Tensor:
+        def features(vision: Tensor) -> Tensor:
             return perturbed(self.features(vision)) if self.cnn is None else self.cnn(vision)
 
         if self.goal_image and observation.goal is None:
             raise ValueError(
-                "this student was trained with a goal image: give goals, or train one with imitation.goal_image: off"
+                "the observation has no goal image, and this student was trained with one. Give goal images, or train "
+                "a student with imitation.goal_image: off."
             )
-        goal = seen(observation.goal) if self.goal_image else None
+        goal = features(observation.goal) if self.goal_image else None
         proprio = perturbed(self.proprio(observation.proprio))
-        return Normalised(seen(observation.vision), goal, proprio)
+        return Normalised(features(observation.vision), goal, proprio)

@@ -1,4 +1,4 @@
-"""All kinds of student: one line and one folder each. The code is a class like `Student` in student.py."""
+"""The registry of student kinds: one line and one folder per kind. The code is a class like `Student` in student.py."""
 
 from acgd.settings import Kind
 

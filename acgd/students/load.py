@@ -1,4 +1,4 @@
-"""Students as artifacts: made anew, saved, loaded, and loaded to act."""
+"""Makes, saves and loads students, and loads them as policies."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ META = "student.json"
 
 
 def sizes_of(data: Data, inputs: Inputs) -> Sizes:
-    """What the data dictate. Without features the student owns a CNN as wide as the backbone's settings say."""
+    """Sizes of the data. Without features the student has a CNN, whose width is in the backbone's artifact."""
     steps, owns_cnn = data.windows.steps, "features" not in inputs
     return Sizes(
         features=_cnn_width(inputs["backbone"]) if owns_cnn else steps["vision"].shape[-1],
@@ -39,14 +39,17 @@ def sizes_of(data: Data, inputs: Inputs) -> Sizes:
 
 
 def new_student(settings: Section, imitation: ImitationConfig, sizes: Sizes) -> Student:
-    """A student of the kind that `settings` name, its weights drawn from torch's global generator."""
+    """A new student of the settings' kind. Its weights are drawn from torch's global generator."""
     return imported(STUDENTS[settings.kind].code)(settings, imitation, sizes)
 
 
 def save_student(
     student: Student, directory: Path, weights: Mapping[str, dict[str, Tensor]], notes: Mapping[str, Any]
 ) -> None:
-    """`weights`: name -> state dict, each its own file; kind, settings, sizes and `notes` as JSON."""
+    """Writes one safetensors file per entry of `weights` (name -> state dict), and student.json.
+
+    student.json holds kind, settings, sizes and `notes`.
+    """
     for name, tensors in weights.items():
         save_file({key: value.contiguous() for key, value in tensors.items()}, directory / f"{name}.safetensors")
     meta = {
@@ -60,7 +63,7 @@ def save_student(
 
 
 def load_student(directory: Path, weights: Literal["best", "last"], device: torch.device) -> Student:
-    """The student of an artifact, in evaluation mode. best: of least error on the validation episodes."""
+    """Loads the student of an artifact in evaluation mode. best: the weights of least PLAN_ERROR in validation."""
     meta = json.loads((Path(directory) / META).read_text())
     settings = TypeAdapter(StudentConfig).validate_python(meta["student"])
     student = new_student(settings, ImitationConfig(**meta["imitation"]), Sizes(**meta["sizes"]))
@@ -70,12 +73,13 @@ def load_student(directory: Path, weights: Literal["best", "last"], device: torc
 
 @dataclass(frozen=True)
 class StudentPolicy:
-    """A student in the simulator, by the interface of acgd.simulate.policy. No kind can read the privileged state."""
+    """A student with the policy interface of acgd.simulate.policy. It cannot read the privileged state."""
 
     policy: Policy
     tasks: list[str]
-    """Names; a task's place is its id."""
+    """Task names. The index of a task is its id."""
     uses_goal: bool
+    """Whether `start` needs goal images."""
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         return self.policy.start(tasks, goals, seeds)
@@ -92,9 +96,9 @@ def load_policy(
     rows: int,
     weights: Literal["best", "last"] = "best",
 ) -> StudentPolicy:
-    """The student of an artifact and the backbone that it was trained with, ready to act.
+    """Loads a student and its backbone as a policy.
 
-    rows: episodes at most, and the rows of every computation.
+    rows: greatest number of episodes in lockstep, and the number of rows of every computation.
     """
     student = load_student(student_dir, weights, device)
     backbone = None if student.sizes.owns_cnn else load_backbone(backbone_dir, device)
@@ -105,7 +109,7 @@ def load_policy(
 def policy_of(
     student: Student, backbone: nn.Module | None, acting: ActingConfig, *, tasks: Sequence[str], rows: int
 ) -> StudentPolicy:
-    """A student ready to act. `backbone`: (B, H, W, 3) uint8 -> (B, F), None for a student that owns its CNN."""
+    """A student as a policy. backbone: (B, H, W, 3) uint8 -> (B, F); None for a student with a CNN."""
     uses_goal = student.imitation.goal_image != "off"
     device = next(student.parameters()).device
     policy = student.policy(Perception(backbone, uses_goal=uses_goal, device=device), acting)
@@ -113,5 +117,5 @@ def policy_of(
 
 
 def _cnn_width(backbone: Path) -> int:
-    """`dim` of a backbone of kind `scratch`."""
+    """Width of the student's CNN: `dim` of a backbone of kind `scratch`."""
     return json.loads((Path(backbone) / "backbone.json").read_text())["dim"]

@@ -16,7 +16,7 @@ from acgd.students.transformer_settings import TransformerSettings
 class StateEncoder(nn.Module):
     """phi_state, an MLP over the robot's recent proprioception: s_{t-h:t} -> z_state (Section III-C).
 
-    It reads the robot's own history, never the privileged state, although the paper writes both as s.
+    The input is proprioception, not the privileged state. The paper writes s for both.
     """
 
     def __init__(self, settings: TransformerSettings, sizes: Sizes) -> None:
@@ -35,7 +35,7 @@ class StateEncoder(nn.Module):
 
 
 class TaskEncoder(nn.Module):
-    """phi_task: features of o_t and, unless it is switched off, of o_T, and the task t_i -> z_task (Section III-C)."""
+    """phi_task: features of o_t, those of o_T if the goal image is used, and the task t_i -> z_task (Section III-C)."""
 
     def __init__(self, settings: TransformerSettings, sizes: Sizes, *, goal_image: bool) -> None:
         super().__init__()
@@ -64,6 +64,6 @@ class Observer(nn.Module):
     def forward(
         self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
     ) -> tuple[Tensor, Tensor]:
-        """-> z_state, z_task, each (B, d)."""
+        """z_state, z_task, each (B, d). noise: standard deviation on the normalised inputs."""
         vision, goal, proprio = self.inputs(observation, noise, generator)
         return self.state_encoder(proprio), self.task_encoder(vision, goal, observation.task)

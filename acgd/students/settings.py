@@ -13,22 +13,24 @@ from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
 
 StudentConfig = one_of(STUDENTS, default="acgd")
-"""Settings of one kind. `needs`: optional stages that it reads. `chunk`, `history`: actions and states in a window."""
+"""Settings of one kind. needs: optional stages that the kind reads. chunk, history: actions and states in a window."""
 
 
 class ImitationConfig(Section):
-    """What a student imitates, and what it is shown."""
+    """Labels and goal images of imitation."""
 
     label: Literal["mean", "executed"] = Field(
-        "mean", description="imitate the expert's mean or the action it executed"
+        "mean", description="Label of a step. mean: the expert's mean action. executed: the action that was executed."
     )
     action_space: Literal["raw", "excitation"] = Field(
-        "raw", description="compare actions as they are, or as the muscle excitation that MyoSuite makes of them"
+        "raw",
+        description="Space of the imitation losses. raw: actions. excitation: the muscle excitation that MyoSuite "
+        "computes from an action.",
     )
     goal_image: Literal["own", "any", "off"] = Field(
         "any",
-        description="goal image o_T in training: that of any training episode of the task, as in an evaluation whose "
-        "goals are training successes; the episode's own (the paper), for oracle goals; or none",
+        description="Goal image o_T in training. any: of any training episode of the task, for an evaluation with goal "
+        "`training`. own: of the same episode (the paper), for goal `oracle`. off: no goal image.",
     )
 
 
@@ -37,10 +39,11 @@ class ActingConfig(Section):
 
     mode: Literal["ensemble-paper", "ensemble-act", "first", "open-loop"] = Field(
         "ensemble-paper",
-        description="average the chunks that cover the step, weighing the newest (paper) or the oldest (ACT) most; "
-        "or take each new chunk's first action; or execute whole chunks",
+        description="Action of a step. ensemble-paper, ensemble-act: mean of all chunks that cover the step, with the "
+        "greatest weight on the newest (paper) or the oldest (ACT). first: first action of a new chunk. open-loop: "
+        "every chunk is executed to its end.",
     )
-    eta: Annotated[float, Field(ge=0)] = Field(2.0, description="eta of the ensembling weights exp(-eta i)")
+    eta: Annotated[float, Field(ge=0)] = Field(2.0, description="Decay rate eta of the ensembling weights exp(-eta i).")
 
 
 class RoundEpisodes(Section):
@@ -65,38 +68,41 @@ class RoundsConfig(RoundEpisodes):
 
 
 class CodebookRequest(Request):
-    """What one codebook depends on besides its inputs."""
+    """Request of one codebook."""
 
     tasks: list[TaskConfig]
-    imitation: ImitationConfig = Field(ImitationConfig(), description="The same for every kind of student.")
+    imitation: ImitationConfig = Field(
+        ImitationConfig(), description="Labels and goal images. They apply to every kind of student."
+    )
     student: StudentConfig = ACGDConfig()
     seed: Annotated[int, Field(ge=0)]
 
     @model_validator(mode="after")
     def _a_batch_holds_every_task(self) -> "CodebookRequest":
         if "codebook" not in self.student.needs:
-            raise ValueError(f"a student of kind {self.student.kind} has no codebook")
+            raise ValueError(f"a student of kind {self.student.kind} has no codebook. Set student.kind to acgd.")
         _check_batch("student.codebook.training.batch", self.student.codebook.training, self.tasks)
         return self
 
 
 class StudentRequest(Request):
-    """What the student of one round depends on besides its inputs."""
+    """Request of the student of one round."""
 
     tasks: list[TaskConfig]
     imitation: ImitationConfig = ImitationConfig()
     student: StudentConfig = Field(
-        ACGDConfig(), description="Architecture of the student, one artifact per student seed."
+        ACGDConfig(),
+        description="Architecture of the student. Stage `student`, one artifact per student seed and round.",
     )
-    training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of the student, of any kind.")
-    guidance: GuidanceConfig = Field(CriticGuidanceConfig(), description="What trains a student besides imitation.")
+    training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of a student of any kind.")
+    guidance: GuidanceConfig = Field(CriticGuidanceConfig(), description="Loss besides imitation.")
     rounds: RoundsConfig | None = None
-    """None in round 0, which learns from demonstrations alone."""
+    """None in round 0, which trains on demonstrations only."""
     round: Annotated[int, Field(ge=0)] = 0
     seed: Annotated[int, Field(ge=0)]
 
     def uses(self, stage: str) -> bool:
-        """Stages that the kinds of student and guidance need; from round 1 on the student before and its rollouts."""
+        """True for stages that the kinds of student and guidance need. From round 1 on: also for stages of rounds."""
         if stage in ("student", "onpolicy", "onpolicy_features"):
             return self.round > 0
         return stage == "features" or stage in (*self.student.needs, *self.guidance.needs)
@@ -109,11 +115,14 @@ class StudentRequest(Request):
     @model_validator(mode="after")
     def _rounds_of_a_later_round(self) -> "StudentRequest":
         if (self.round > 0) != (self.rounds is not None):
-            raise ValueError(f"round {self.round} with rounds {self.rounds}: rounds is for round 1 and later ones")
+            raise ValueError(
+                f"round {self.round} does not go with rounds {self.rounds}: rounds is for round 1 and later ones. Set "
+                "rounds to null in round 0, and only there."
+            )
         return self
 
 
 def _check_batch(field: str, training: TrainingConfig, tasks: list[TaskConfig]) -> None:
-    """Batches are filled task by task: a smaller one would never hold a window of the last tasks."""
+    """Raises ValueError where a batch has fewer windows than there are tasks: it would lack the last tasks."""
     if training.batch < len(tasks):
-        raise ValueError(f"{field} is {training.batch} for {len(tasks)} tasks: set it to {len(tasks)} or more")
+        raise ValueError(f"{field} is {training.batch} for {len(tasks)} tasks: set it to {len(tasks)} or more.")

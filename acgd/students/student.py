@@ -1,4 +1,4 @@
-"""What a kind of student is. The stage `student`, evaluation and on-policy rounds know nothing else of it."""
+"""The interface of a student kind. The stages that train and run a student use this interface only."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -16,33 +16,33 @@ from acgd.students.settings import ActingConfig, ImitationConfig
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the data dictate."""
+    """Sizes that the data determine: F, P, A and the number of tasks."""
 
     features: int
     proprio: int
     actions: int
     tasks: int
     owns_cnn: bool
-    """The student reads images through a CNN of its own, `features` wide, and no features of a frozen backbone."""
+    """Whether the student reads images through a CNN that it trains, with `features` outputs, and no features."""
 
 
 @dataclass(frozen=True)
 class Imitation:
-    """What one forward pass gives both losses."""
+    """Result of one forward pass, for imitation and guidance."""
 
     loss: Tensor
     """(B,) L_BC of each window."""
     proposal: Tensor | None
-    """(n, k, A) chunks for the first n windows, in the box, with a gradient. None where none were wanted."""
+    """(n, k, A) chunks for the first n windows, inside the box, with a gradient. None for n = 0."""
     metrics: dict[str, Tensor]
-    """Name -> (B,), for the curves."""
+    """Name -> (B,), logged as curves."""
 
 
 class Student(Protocol):
     """An nn.Module of one kind.
 
-    Its settings say `chunk` k and `history` h, the steps of its windows, and `needs`, further stages that it reads. Its
-    state dict is all that it has learned.
+    The settings have `chunk` k and `history` h, the lengths of a window, and `needs`, the optional stages that the kind
+    reads. The state dict holds everything that is learned.
     """
 
     settings: Section
@@ -50,26 +50,27 @@ class Student(Protocol):
     sizes: Sizes
 
     def __init__(self, settings: Section, imitation: ImitationConfig, sizes: Sizes) -> None:
-        """Weights are drawn from torch's global generator, which the caller seeds."""
+        """Draws the weights from torch's global generator, which the caller seeds."""
 
     def initialise(self, data: Data, inputs: Inputs) -> None:
-        """Before round 0: fit the normalisers to the data, and take over what was learned upstream."""
+        """Before round 0: fits the normalisers to the data, and loads weights of upstream stages."""
 
     def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
-        """Before each round: targets of every window, name -> (N, ...), which batches then hold."""
+        """Before each round: returns targets of every window, name -> (N, ...). Batches contain them."""
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """One training step. `guided`: how many first windows need a proposal. `noise`: of the inputs.
+        """The forward pass of one training step.
 
-        Generators: `data` for the noise; `sample` for the student's samples of proposals, so that a guided and an
-        unguided student of one seed see the same batches.
+        guided: number of windows, from the first on, that need a proposal. noise: standard deviation of the noise on
+        normalised inputs. Generators: `data` for the noise, `sample` for the samples of proposals. The second generator
+        gives guided and unguided students of one seed the same batches.
         """
 
     def validate(self, batch: Batch) -> dict[str, Tensor]:
-        """Scores of held-out windows besides the error of `plan`, name -> (B,)."""
+        """Scores of held-out windows in addition to the error of `plan`, name -> (B,)."""
 
     def plan(self, observation: Observation) -> Tensor:
-        """The likeliest chunk (B, k, A) in the box, without a gradient."""
+        """The likeliest chunk (B, k, A) inside the box, without a gradient."""
 
     def policy(self, perception: Perception, acting: ActingConfig) -> Policy:
-        """It acts on `image` and `proprio`."""
+        """A policy that reads `image` and `proprio`."""

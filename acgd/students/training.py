@@ -1,4 +1,4 @@
-"""The optimisation loop of both stages: schedule, clipping, validation, best weights, checkpoints."""
+"""The optimisation loop of codebook and student: schedule, clipping, validation, best weights, checkpoints."""
 
 import math
 from collections.abc import Callable
@@ -13,12 +13,12 @@ from acgd.store.stage import Context
 from acgd.students.training_settings import TrainingConfig
 
 Step = Callable[[bool], tuple[Tensor, dict[str, float]]]
-"""Whether the step is logged -> its loss, and what to log of it."""
+"""Whether the step is logged -> loss (), and values to log."""
 
 
 @dataclass
 class Best:
-    """The weights of the least validation score so far."""
+    """The weights of the least validation score."""
 
     score: float = math.inf
     step: int = 0
@@ -26,12 +26,12 @@ class Best:
 
 
 def log_every(steps: int) -> int:
-    """Steps between rows of metrics, at most 100, less in short runs. It is no setting: the rows are payload."""
+    """Steps between rows of metrics: a tenth of all steps, at most 100. No setting changes it: the rows are payload."""
     return max(1, min(100, steps // 10))
 
 
 def learning_rate(step: int, config: TrainingConfig) -> float:
-    """Linear warm-up, then constant or half a cosine down to a hundredth of the peak."""
+    """Learning rate of a step: linear warm-up, then constant, or half a cosine down to 1% of the peak."""
     warm = min(1.0, (step + 1) / (config.warmup + 1))
     if config.schedule == "constant":
         return config.learning_rate * warm
@@ -40,7 +40,7 @@ def learning_rate(step: int, config: TrainingConfig) -> float:
 
 
 def adamw(model: nn.Module, config: TrainingConfig) -> torch.optim.AdamW:
-    """AdamW on whatever is trainable; weight decay on matrices alone."""
+    """AdamW on all parameters with a gradient. Weight decay applies to tensors of two or more dimensions."""
     trained = [p for p in model.parameters() if p.requires_grad]
     groups = [
         {"params": [p for p in trained if p.ndim >= 2], "weight_decay": config.weight_decay},
@@ -61,11 +61,11 @@ def train(
     what: str,
     chosen_by: str,
 ) -> Best:
-    """Trains in place and returns the best weights; those of the last step are in the model.
+    """Trains the model in place and returns the best weights. The model ends with the weights of the last step.
 
-    `validate` returns scores; the least of the one named by `chosen_by` is the best. `generators` are the only sources
-    of randomness, and `tally` holds the sums that `step_loss` keeps. All are checkpointed, so that a resumed run equals
-    an uninterrupted one bit for bit.
+    validate: returns scores. The weights with the least score `chosen_by` are the best. generators: the only sources
+    of randomness. tally: sums that `step_loss` accumulates. Checkpoints contain all of these, so that a resumed run
+    equals an uninterrupted one bit for bit. Raises FloatingPointError of a loss that is not finite.
     """
     optimiser = adamw(model, config)
     trained = [p for group in optimiser.param_groups for p in group["params"]]
@@ -98,8 +98,8 @@ def train(
             if logged:
                 if not math.isfinite(loss.item()):
                     raise FloatingPointError(
-                        f"{what}: the loss is {loss.item()} at step {done}; "
-                        "lower training.learning_rate or training.clip_norm"
+                        f"{what}: the loss is {loss.item()} at step {done}. "
+                        "Lower training.learning_rate or training.clip_norm."
                     )
                 row = {**row, "loss": loss.item(), "gradient_norm": norm.item(), "learning_rate": rate}
             if done % config.validate_every == 0 or done == config.steps:

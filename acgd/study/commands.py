@@ -1,4 +1,4 @@
-"""What a person does with the store: look, free, verify, mirror."""
+"""Commands on studies and the store: check, ls, gc, verify, mlflow-sync."""
 
 import contextlib
 import os
@@ -11,26 +11,31 @@ from pathlib import Path
 from acgd.store.store import MANIFEST, ArtifactError, Store, damages
 from acgd.study import names
 from acgd.study.load import ConfigError, read_yaml
-from acgd.study.plan import Plan, plan
+from acgd.study.plan import Plan
+from acgd.study.plan import plan as plan_study
 from acgd.study.study import load_study
 
 Table = list[tuple[str, ...]]
 
 
 def plans(files: Sequence[Path]) -> list[Plan]:
-    """What the studies in these files need; without files, config.yaml and all of studies/."""
+    """The plan of the study in each file. Without files: config.yaml and all of studies/.
+
+    Raises ConfigError of a missing or invalid file.
+    """
     files = list(files) or [
         file for file in (Path("config.yaml"), *sorted(Path("studies").glob("*.yaml"))) if file.is_file()
     ]
     if not files:
         raise ConfigError(
-            "There is no config.yaml here, nor studies/. Go to the folder of config.yaml, or name the files of the studies."
+            "This folder has neither config.yaml nor studies/. Go to the folder of config.yaml, or name the files of "
+            "the studies."
         )
     return [_plan(file) for file in files]
 
 
 def list_store(store: Store, files: Sequence[Path]) -> None:
-    """`acgd ls`: a row for each artifact, with the studies that name it."""
+    """`acgd ls`: prints a row for each artifact, with the studies that name it."""
     users = _users(plans(files))
     rows: Table = [("stage", "name", "key", "size", "age", "studies")]
     total = 0
@@ -46,56 +51,59 @@ def list_store(store: Store, files: Sequence[Path]) -> None:
 
 
 def free(store: Store, files: Sequence[Path], yes: bool) -> None:
-    """`acgd gc`: removes what no study names, and abandoned work; only says so unless `yes`."""
+    """`acgd gc`: removes artifacts and unfinished work that no study names. Without `yes`, it prints them only."""
     kept = set(_users(plans(files)))
     freed = 0
     for place in sorted({*store.places(), *store.unfinished(), *store.in_work()} - kept):
         size = _size(store.path(place)) + _size(store.work(place))
         if yes and not store.free(place):
-            print(f"left alone, in the making: {place}")
+            print(f"not removed, a process is making it: {place}")
             continue
         freed += size
         print(f"{'removed' if yes else 'would remove'} {place} ({_bytes(size)})")
     if yes:
         names.prune_dangling(store)
-    print(f"{_bytes(freed)} {'freed' if yes else 'to free. To do it, type the same with --yes.'}")
+    print(f"{_bytes(freed)} {'freed' if yes else 'to free. To remove them, repeat the command with --yes.'}")
 
 
 def verify(store: Store, repair: bool) -> None:
-    """`acgd verify`: rereads every checksum; with `repair`, removes what is damaged, so that the workflow makes it anew."""
+    """`acgd verify`: compares every file with its checksum. With `repair`, it removes the damaged artifacts.
+
+    Raises ArtifactError where damaged artifacts remain.
+    """
     damaged = {}
     places = store.places()
     for place in places:
         try:
-            found = damages(store.path(place), store.manifest(place)["payload"])
+            differences = damages(store.path(place), store.manifest(place)["payload"])
         except ArtifactError:
-            found = [f"{MANIFEST} is damaged"]
-        if found:
-            damaged[place] = found
-            print(
-                f"{store.path(place)}: {'; '.join(found[:5])}{f' and {len(found) - 5} more' if len(found) > 5 else ''}"
-            )
+            differences = [f"{MANIFEST} is damaged"]
+        if differences:
+            damaged[place] = differences
+            more = f" and {len(differences) - 5} more" if len(differences) > 5 else ""
+            print(f"{store.path(place)}: {'; '.join(differences[:5])}{more}")
             if repair:
                 store.remove(place)
     print(f"{len(places)} artifacts read, {len(damaged)} damaged{' and removed' if damaged and repair else ''}")
     if damaged and repair:
         names.prune_dangling(store)
-        print("Run the workflow, which makes them anew.")
+        print("Run the workflow, which makes them again.")
     elif damaged:
         raise ArtifactError(
-            "To remove the damaged artifacts: python -m acgd verify --repair. Then run the workflow, which makes them anew."
+            "Artifacts are damaged. Type: python -m acgd verify --repair, which removes them. Then run the workflow, "
+            "which makes them again."
         )
 
 
 def mirror(store: Store, plans: Iterable[Plan]) -> None:
-    """`acgd mlflow-sync`: brings MLflow up to date with what the studies have published. Never fails."""
+    """`acgd mlflow-sync`: writes the published artifacts of the studies to MLflow. An error becomes a warning."""
     from acgd.tracking.mlflow_mirror import Mirrored, sync
 
     for plan in plans:
         published = [
-            Mirrored(store.path(one.place), tuple(plan.names_of(one)), one.stage.results)
-            for one in plan.artifacts.values()
-            if store.has(one.place)
+            Mirrored(store.path(artifact.place), tuple(plan.names_of(artifact)), artifact.stage.results)
+            for artifact in plan.artifacts.values()
+            if store.has(artifact.place)
         ]
         written = sync(store.results, plan.study, published)
         if written is not None:
@@ -103,7 +111,7 @@ def mirror(store: Store, plans: Iterable[Plan]) -> None:
 
 
 def check(store: Store, files: Sequence[Path]) -> None:
-    """`acgd check`: validates studies and says what each would make."""
+    """`acgd check`: validates the studies and prints the artifacts that each still needs."""
     for plan in plans(files):
         missing = [artifact for artifact in plan.artifacts.values() if not store.has(artifact.place)]
         print(f"{plan.study}: valid; {len(plan.artifacts)} artifacts, {len(missing)} of them to make")
@@ -112,8 +120,9 @@ def check(store: Store, files: Sequence[Path]) -> None:
 
 
 def _plan(file: Path) -> Plan:
+    """The plan of the study in a file. Each line of a ConfigError begins with the file's name."""
     try:
-        return plan(load_study(read_yaml(file)))
+        return plan_study(load_study(read_yaml(file)))
     except ConfigError as error:
         lines = str(error).splitlines()
         raise ConfigError(
@@ -122,6 +131,7 @@ def _plan(file: Path) -> Plan:
 
 
 def _users(plans: Iterable[Plan]) -> dict[str, list[str]]:
+    """Place -> names of the studies that need the artifact."""
     users: dict[str, list[str]] = defaultdict(list)
     for plan in plans:
         for place in plan.artifacts:
@@ -130,7 +140,7 @@ def _users(plans: Iterable[Plan]) -> dict[str, list[str]]:
 
 
 def _size(folder: Path) -> int:
-    """Bytes of all files. Those that vanish meanwhile do not count: another process may be making the artifact."""
+    """Bytes of all files in a folder. Ignores files that another process removes during the count."""
     size = 0
     for place, _, files in os.walk(folder):
         for file in files:

@@ -1,10 +1,10 @@
-"""Results that outlast a machine: the small files of a study's artifacts, and the way back into an empty store.
+"""Kept results: the small files of a study's artifacts, which are restored into an empty store.
 
     docs/results/<study>/kept/<stage>/<name>/<key>/   manifest.json, checksums.json, run.json, and files such as
                                                       episodes.jsonl, summary.json, quality.json, card.json
 
-Weights, pictures, films and zarr stores are not kept. A restored artifact lists in kept.json what it lacks: a report
-reads it, any other stage refuses it.
+Weights, pictures, films and zarr stores are not kept. The file kept.json of a restored artifact names the missing
+files. The report reads a restored artifact; every other stage refuses it.
 """
 
 import json
@@ -20,34 +20,35 @@ from acgd.study.plan import Plan
 
 SUFFIXES = (".json", ".jsonl", ".csv")
 LIMIT = 200_000
-"""Bytes of a file that is kept, but for those in ALWAYS."""
+"""Greatest size in bytes of a kept file. Files named in ALWAYS have no limit."""
 ALWAYS = ("episodes.jsonl",)
-"""Without the episodes there is no success rate."""
+"""Files that are kept at any size. The success rates need the episodes."""
 
 
 @dataclass
 class Outcome:
-    """What was done with the artifacts of a study. Each list holds places `<stage>/<name>/<key>`."""
+    """Result of keeping or restoring a study. Each list holds places `<stage>/<name>/<key>`."""
 
     done: list[str] = field(default_factory=list)
-    """Kept, or restored."""
+    """Artifacts that were kept or restored."""
     missing: list[str] = field(default_factory=list)
-    """Not finished in the store, or not among the kept results."""
+    """Artifacts that the store (when keeping) or the kept results (when restoring) lack."""
     present: list[str] = field(default_factory=list)
-    """Restoring: in the store already."""
+    """Artifacts that the store had before restoring."""
     too_large: list[str] = field(default_factory=list)
-    """Keeping: files of a kept kind above LIMIT, which were left out, as `<place>/<file>`."""
+    """Files `<place>/<file>` with a kept suffix that were left out, since they are larger than LIMIT."""
 
 
 def folder_of(study: str) -> Path:
-    """Where a study's results are kept by default, from the root of the checkout."""
+    """Default folder of a study's kept results, relative to the root of the checkout."""
     return Path("docs/results") / study / "kept"
 
 
 def keep(store: Store, plan: Plan, folder: Path) -> Outcome:
-    """Copies the small files of every finished artifact of the plan into `folder`, all but those of the report.
+    """Copies the small files of every finished artifact of the plan into `folder`. The report is left out.
 
-    What `folder` holds of other keys is removed: the report is built again from one plan.
+    Removes artifacts with other keys from `folder`, since a report is built from one plan. Raises ArtifactError of a
+    damaged artifact.
     """
     outcome = Outcome()
     for place in _places(plan):
@@ -71,9 +72,14 @@ def keep(store: Store, plan: Plan, folder: Path) -> Outcome:
 
 
 def restore(store: Store, plan: Plan, folder: Path) -> Outcome:
-    """Publishes the kept artifacts of the plan that the store lacks. Each appears whole, or not at all."""
+    """Publishes the kept artifacts of the plan that the store lacks. A kill leaves no incomplete artifact.
+
+    Raises ArtifactError where `folder` is missing, or a kept file differs from its checksum.
+    """
     if not folder.is_dir():
-        raise ArtifactError(f"{folder}: no results are kept there. Type: python -m acgd keep, where they were made.")
+        raise ArtifactError(
+            f"{folder}: no results are kept there. Type: python -m acgd keep, on the machine that has the results."
+        )
     outcome = Outcome()
     for place in _places(plan):
         source = folder / place
@@ -88,7 +94,7 @@ def restore(store: Store, plan: Plan, folder: Path) -> Outcome:
 
 
 def discard(store: Store) -> list[str]:
-    """Removes every restored artifact, so that the workflow makes it whole."""
+    """Removes every restored artifact, so that the workflow makes it completely. Returns their places."""
     restored = [place for place in store.places() if absent(store.path(place))]
     for place in restored:
         store.remove(place)
@@ -103,13 +109,13 @@ def _publish(store: Store, place: str, source: Path) -> None:
             return
         shutil.rmtree(draft, ignore_errors=True)
         shutil.copytree(source, draft)
-        lacks = [name for name in sorted(payload) if not (draft / name).is_file()]
-        (draft / KEPT).write_text(json.dumps({"absent": lacks}, indent=1) + "\n", encoding="utf-8")
-        differs = damages(draft, payload)
-        if differs:
+        missing = [name for name in sorted(payload) if not (draft / name).is_file()]
+        (draft / KEPT).write_text(json.dumps({"absent": missing}, indent=1) + "\n", encoding="utf-8")
+        differences = damages(draft, payload)
+        if differences:
             shutil.rmtree(draft)
             raise ArtifactError(
-                f"{source}: {'; '.join(differs[:5])}. The kept files were changed. "
+                f"{source}: {'; '.join(differences[:5])}. The kept files were changed. "
                 f"Type: git checkout -- {source}, then restore again."
             )
         shutil.rmtree(path, ignore_errors=True)
@@ -118,11 +124,12 @@ def _publish(store: Store, place: str, source: Path) -> None:
 
 
 def _places(plan: Plan) -> list[str]:
+    """Places of all artifacts but the report."""
     return [place for place, artifact in plan.artifacts.items() if artifact is not plan.report]
 
 
 def _small(path: Path, too_large: list[str], place: str) -> Iterator[str]:
-    """Names of the files to keep: what describes the artifact, and text below the limit outside of zarr stores."""
+    """Names of the files to keep: the artifact's description, and text files up to LIMIT bytes outside zarr stores."""
     for file in sorted(path.rglob("*")):
         name = file.relative_to(path)
         if not file.is_file() or any(part.endswith(".zarr") for part in name.parts):

@@ -1,4 +1,4 @@
-"""From YAML to a validated study, and from what is wrong with it to one line that names the mend."""
+"""Reads and validates a configuration. Each fault becomes one line: what is wrong, then the mend."""
 
 import difflib
 import re
@@ -28,15 +28,15 @@ _EXPECTED = {
     "model_type": "should be a map of settings",
     "union_tag_not_found": "should be a map of settings",
 }
-"""Fault of pydantic -> what to say instead of its own words."""
+"""Fault type of pydantic -> text in the error message."""
 
 
 class ConfigError(Exception):
-    """The configuration cannot be used. The text is meant for the user as it stands."""
+    """The configuration is invalid. The user sees the text unchanged."""
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The map in a configuration file."""
+    """The map in a configuration file. Raises ConfigError of a missing, unreadable or malformed file."""
     import yaml
 
     try:
@@ -49,17 +49,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
         raise ConfigError(f"{path}: not readable as YAML. {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
-        raise ConfigError(f"{path}: holds {_kind(content)} instead of a map of settings; start from config.yaml.")
+        raise ConfigError(f"{path}: holds {_kind(content)} instead of a map of settings. Start from config.yaml.")
     return content
 
 
 def validated(
     model: type[Model], content: Any, prefix: Sequence[str | int] = (), root: type[BaseModel] | None = None
 ) -> Model:
-    """`content` as the model, or a ConfigError with one line for each fault.
+    """`content` as an instance of `model`. Raises ConfigError with one line for each fault.
 
-    `prefix` is where `content` stands in the configuration; `root` is the model of the whole configuration, in which a
-    misplaced key is looked for.
+    prefix: path of `content` in the configuration. root: model of the whole configuration, where the mend of a
+    misplaced key is searched.
     """
     try:
         return model.model_validate(content)
@@ -71,9 +71,9 @@ def validated(
 
 
 def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
-    """Maps are merged key by key; everything else, lists included, is replaced.
+    """Merges maps key by key. The override replaces any other value, lists included.
 
-    An override that names another kind than the base starts from that kind's defaults: nothing of the base stays.
+    A section of another kind than the base replaces the base's section, so that it starts from its kind's defaults.
     """
     merged = dict(base)
     for name, value in override.items():
@@ -86,22 +86,22 @@ def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name that looks most like `name`, if any does."""
+    """The known name that is most similar to `name`, or None."""
     known = list(known)
     for candidate in known:
         if _initials(name, candidate):
             return candidate
     contained = [candidate for candidate in known if len(name) > 2 and (name in candidate or candidate in name)]
-    found = (
+    matches = (
         difflib.get_close_matches(name, known, n=1, cutoff=0.6)
         or contained
         or difflib.get_close_matches(name, known, n=1, cutoff=0.4)
     )
-    return found[0] if found else None
+    return matches[0] if matches else None
 
 
 def _initials(name: str, candidate: str) -> bool:
-    """lr is learning_rate."""
+    """Whether `name` has the initials of `candidate`: lr of learning_rate."""
     return "_" in candidate and name == "".join(word[:1] for word in candidate.split("_"))
 
 
@@ -112,12 +112,13 @@ def dotted(place: Sequence[str | int]) -> str:
 
 
 def _follows(fault: Mapping[str, Any], inner: Iterable[tuple[str | int, ...]]) -> bool:
-    """A list of which an item is wrong counts as too short: say only what is wrong with the item."""
+    """Whether the fault follows from another: pydantic calls a list with an invalid item too short."""
     place = fault["loc"]
     return fault["type"] == "too_short" and any(other[: len(place)] == place for other in inner)
 
 
 def _explain(model: type[BaseModel], root: type[BaseModel], fault: dict[str, Any], prefix: Sequence[str | int]) -> str:
+    """The line for one fault."""
     place, section = _walk(model, fault["loc"])
     where = dotted([*prefix, *place])
     if fault["type"] == "extra_forbidden":
@@ -126,25 +127,26 @@ def _explain(model: type[BaseModel], root: type[BaseModel], fault: dict[str, Any
     if fault["type"] == "missing":
         described = f": {field.description.rstrip('.')}" if field and field.description else ""
         return f"{where}: missing. Add it{described}."
-    message, given = fault["msg"].removeprefix("Value error, "), fault.get("input")
+    message, value = fault["msg"].removeprefix("Value error, "), fault.get("input")
     if fault["type"] == "value_error":
         return f"{where}: {message}"
     if fault["type"] == "literal_error":
-        return f"{where}: {_mend_choice(given, fault['ctx']['expected'])}"
+        return f"{where}: {_mend_choice(value, fault['ctx']['expected'])}"
     if fault["type"] == "union_tag_invalid":
         return f"{where}.kind: {_mend_choice(fault['ctx']['tag'], fault['ctx']['expected_tags'])}"
     expected = _EXPECTED.get(fault["type"]) or _lower(message)
-    return f"{where}: {expected}, not {_shown(given)}. Mend it, or leave the key out{_default(field)}."
+    return f"{where}: {expected}, not {_shown(value)}. Correct it, or leave the key out{_default(field)}."
 
 
-def _mend_choice(given: Any, expected: str) -> str:
-    """`expected` lists the choices in single quotes."""
+def _mend_choice(value: Any, expected: str) -> str:
+    """The message for a value outside the choices. `expected` lists the choices in single quotes."""
     choices = re.findall(r"'([^']*)'", expected)
-    near = nearest(str(given), choices)
-    return f"{given!r} is none of {', '.join(choices)}." + (f" Nearest: {near}." if near else "")
+    near = nearest(str(value), choices)
+    return f"{value!r} is none of {', '.join(choices)}." + (f" Nearest: {near}." if near else "")
 
 
 def _mend_unknown(section: type[BaseModel] | None, root: type[BaseModel], place: Sequence[str | int]) -> str:
+    """The mend of an unknown key: another kind, another place, or the nearest known key."""
     name = str(place[-1])
     known = list(section.model_fields) if section else []
     near = nearest(name, known)
@@ -161,13 +163,13 @@ def _mend_unknown(section: type[BaseModel] | None, root: type[BaseModel], place:
             return f"Did you mean {elsewhere[0]}? Move it there, or remove it."
     if near:
         return f"Nearest: {near}. Rename it, or remove it."
-    return f"Known here: {', '.join(known)}. Use one of them, or remove it."
+    return f"Known keys: {', '.join(known)}. Use one of them, or remove it."
 
 
 def _places(
     model: type[BaseModel], prefix: tuple[str, ...] = (), kind: str = ""
 ) -> Iterable[tuple[tuple[str, ...], str]]:
-    """Where every key stands, with the kind that has it where the section has kinds."""
+    """(path, kind) of every key. The kind is empty in a section without kinds."""
     for name, field in model.model_fields.items():
         yield (*prefix, name), kind
         for tag, inner in members(field.annotation).items():
@@ -175,7 +177,7 @@ def _places(
 
 
 def _walk(model: type[BaseModel], place: Sequence[str | int]) -> tuple[list[str | int], type[BaseModel] | None]:
-    """The place without pydantic's own marks, such as the kind of a section; and the section that holds its last key."""
+    """The place without the parts that pydantic adds, such as a section's kind; and the section with its last key."""
     current: Any = model
     section: type[BaseModel] | None = None
     plain: list[str | int] = []
@@ -191,13 +193,13 @@ def _walk(model: type[BaseModel], place: Sequence[str | int]) -> tuple[list[str 
         if section is not None and part in section.model_fields:
             current = section.model_fields[part].annotation
         else:
-            arguments = [one for one in get_args(current) if one is not Ellipsis]
+            arguments = [argument for argument in get_args(current) if argument is not Ellipsis]
             current = arguments[-1] if arguments else None
     return plain, section
 
 
 def members(annotation: Any) -> dict[str, type[BaseModel]]:
-    """The sections that a field can hold: kind -> section, or "" -> section where there is one; empty for other fields."""
+    """The sections that a field can hold: kind -> section, or "" -> section without kinds; empty for other fields."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return {"": annotation}
     if get_origin(annotation) is Annotated:
@@ -205,7 +207,7 @@ def members(annotation: Any) -> dict[str, type[BaseModel]]:
         inner = members(get_args(annotation)[0])
         return {tags[0]: inner[""]} if tags else inner
     if get_origin(annotation) in (Union, UnionType):
-        return {tag: section for one in get_args(annotation) for tag, section in members(one).items()}
+        return {tag: section for argument in get_args(annotation) for tag, section in members(argument).items()}
     return {}
 
 

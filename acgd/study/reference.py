@@ -1,4 +1,4 @@
-"""The reference of the configuration, written from the models: docs/configuration.md and docs/schema.json."""
+"""Writes the reference of the configuration from the models: docs/configuration.md and docs/schema.json."""
 
 import json
 import types
@@ -16,10 +16,12 @@ from acgd.study.study import Study
 HEAD = """# Configuration
 
 `python -m acgd schema` writes this page from the settings in `acgd/*/settings.py`; a test notices when the two differ.
-[schema.json](schema.json) is the same for editors: `# yaml-language-server: $schema=docs/schema.json`.
+[schema.json](schema.json) holds the same settings for editors: `# yaml-language-server: $schema=docs/schema.json`.
 
-`config.yaml` is the default study, `studies/*.yaml` are others: `snakemake --cores 2 all --configfile studies/<study>.yaml`.
-A key that is left out has its default. Unknown keys are refused. `python -m acgd check` validates every study and runs nothing.
+`config.yaml` is the default study. `studies/*.yaml` are others:
+`snakemake --cores 2 all --configfile studies/<study>.yaml`.
+A key that is left out has its default. Unknown keys are refused.
+`python -m acgd check` validates every study and runs nothing.
 
 **Kinds.** `expert`, `critic`, `backbone`, `student` and `guidance` have kinds. Each kind has settings of its own.
 
@@ -35,25 +37,28 @@ variants:
   demos: {rollouts: {demonstrations: {expand: [10, 30, 100]}}}   # demos-demonstrations-10, ...
 ```
 
-**One task otherwise.** `overrides: {myo/reach: {expert: {kind: ppo}}}`, for the sections `task`, `expert`, `critic` and `rollouts`.
+**Exceptions for one task.** `overrides: {myo/reach: {expert: {kind: ppo}}}`.
+The sections `task`, `expert`, `critic` and `rollouts` accept overrides.
 
-**What reruns.** The key of an artifact hashes its own sections, the keys upstream, and what defines its tasks. Fields marked †
-are not hashed: they change how an artifact is made, not what it is.
+**What reruns.** The key of an artifact hashes the settings of its stage, the keys of its inputs, and the sources that
+define its tasks. Fields marked † are not hashed: they change how an artifact is made, not its content.
 """
 
 
 def write(docs: Path) -> None:
+    """Writes configuration.md and schema.json into the folder `docs`."""
     docs.mkdir(parents=True, exist_ok=True)
     (docs / "configuration.md").write_text(markdown(), encoding="utf-8")
     (docs / "schema.json").write_text(schema(), encoding="utf-8")
 
 
 def schema() -> str:
+    """JSON schema of a study."""
     return json.dumps(Study.model_json_schema(), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
 def markdown() -> str:
-    """A table for the study, and one for each section, or for each kind of a section."""
+    """The page: a table for the study, and one for each section or each kind of a section."""
     parts = [HEAD]
     plain = [(name, field) for name, field in Study.model_fields.items() if not members(field.annotation)]
     parts.append(_table("The study", "", plain))
@@ -77,6 +82,7 @@ def markdown() -> str:
 
 
 def _leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """(dotted name, field) of a section, with the fields of nested sections."""
     for name, field in model.model_fields.items():
         inner = members(field.annotation)
         if set(inner) == {""}:
@@ -106,7 +112,7 @@ def _type(annotation: Any) -> str:
     if origin is Literal:
         return ", ".join(f"`{choice}`" for choice in arguments)
     if origin in (Union, types.UnionType):
-        return " or ".join("nothing" if one is types.NoneType else _type(one) for one in arguments)
+        return " or ".join("nothing" if argument is types.NoneType else _type(argument) for argument in arguments)
     if origin in (tuple, list):
         return f"list of {_type(arguments[0])}"
     if origin is dict:

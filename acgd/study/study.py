@@ -1,4 +1,4 @@
-"""A study: tasks, settings of every stage, student seeds, and the variants that are compared."""
+"""A study: tasks, settings of every stage, student seeds, and variants to compare."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -26,7 +26,7 @@ Item = TypeVar("Item")
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESERVED_STUDIES = ("store", "work", "logs", "benchmarks", "mlruns")
-"""Folders of results/ that are no study."""
+"""Folders of results/ that belong to no study."""
 RESERVED_VARIANTS = ("report", "mlflow")
 PER_TASK = ("task", "expert", "critic", "rollouts")
 """Sections that `overrides` may change for one task."""
@@ -34,23 +34,23 @@ PER_TASK = ("task", "expert", "critic", "rollouts")
 TaskDefaults = create_model(
     "TaskDefaults",
     __base__=Section,
-    __doc__="What holds for every task: the fields of a task but its name.",
+    __doc__="Settings of every task: all fields of a task except its name.",
     **{name: (field.annotation, field) for name, field in TaskConfig.model_fields.items() if name != "name"},
 )
 
 TaskOverrides = create_model(
     "TaskOverrides",
     __base__=Section,
-    __doc__="What one task does otherwise.",
+    __doc__="Settings of one task that differ from those of the study.",
     **{name: (dict[str, JsonValue], Field({}, description=f"Keys of `{name}`.")) for name in PER_TASK},
 )
 
 TaskSettings = make_dataclass("TaskSettings", PER_TASK, frozen=True)
-"""The sections of PER_TASK as one task has them."""
+"""The sections of PER_TASK for one task."""
 
 
 class _Axes(Section):
-    """What there is one artifact for, and what one task does otherwise."""
+    """The axes of the artifacts, and the settings of single tasks."""
 
     tasks: tuple[str, ...] = Field(
         ("myo/key-turn", "myo/obj-hold", "myo/reach"),
@@ -60,7 +60,7 @@ class _Axes(Section):
     seeds: tuple[int, ...] = Field(
         (0, 1, 2),
         min_length=1,
-        description="Student seeds. Each reseeds codebook, data order and initialisation.",
+        description="Student seeds. A seed determines codebook, data order and initialisation.",
     )
     conditions: tuple[Condition, ...] = Field(
         (Condition(),),
@@ -68,29 +68,32 @@ class _Axes(Section):
         description="Conditions of the evaluation, one artifact each. The first one is the headline.",
     )
     rounds: RoundsConfig = Field(
-        RoundsConfig(), description="On-policy rounds: more rollouts, acted by the student itself."
+        RoundsConfig(), description="On-policy rounds: more rollouts, in which the student acts."
     )
-    task: TaskDefaults = Field(TaskDefaults(), description="The same for every task; `overrides` has exceptions.")
-    overrides: dict[str, TaskOverrides] = Field({}, description="Task name -> what that task does otherwise.")
+    task: TaskDefaults = Field(TaskDefaults(), description="Settings of every task. `overrides` has exceptions.")
+    overrides: dict[str, TaskOverrides] = Field({}, description="Task name -> settings of that task that differ.")
 
 
-GIVEN = ("task", "tasks", "seed", "round", "rounds", "condition")
-"""Fields of a request that are no section of their own."""
+AXIS_FIELDS = ("task", "tasks", "seed", "round", "rounds", "condition")
+"""Fields of a request that the plan fills from the axes. They are no sections of a study."""
 
 
 def _sections() -> dict[str, tuple[Any, FieldInfo]]:
-    """The sections of a study: the fields of the stages' requests. Where several have one, that of the stage so named."""
+    """The sections of a study: the fields of the stages' requests.
+
+    If several requests have a field, the request of the stage with the field's name declares it; else the first one.
+    """
     requests = {name: imported(stage.request) for name, stage in chain.STAGES.items()}
     sections: dict[str, tuple[Any, FieldInfo]] = {}
     for stage, request in requests.items():
         for name, field in request.model_fields.items():
-            if name not in GIVEN and (name not in sections or name == stage):
+            if name not in AXIS_FIELDS and (name not in sections or name == stage):
                 sections[name] = (field.annotation, field)
     return sections
 
 
 class _Checks(_Axes):
-    """What must hold among the sections of a variant."""
+    """Checks across the sections of a variant."""
 
     @field_validator("tasks")
     @classmethod
@@ -102,8 +105,8 @@ class _Checks(_Axes):
         first = TASKS[tasks[0]].suite
         if other := [name for name in tasks if TASKS[name].suite != first]:
             raise ValueError(
-                f"{tasks[0]} and {other[0]} have different robots, and a student has one: its actions and proprioception "
-                "are those of one suite. Write a study for each suite."
+                f"{tasks[0]} and {other[0]} belong to suites with different robots. A student has the actions and the "
+                "proprioception of one suite. Write a study for each suite."
             )
         return _distinct(tasks)
 
@@ -111,7 +114,7 @@ class _Checks(_Axes):
     @classmethod
     def _usable_seeds(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
         if min(seeds) < 0:
-            raise ValueError(f"{min(seeds)} is negative; seeds count from 0.")
+            raise ValueError(f"{min(seeds)} is negative. Use seeds from 0 on.")
         return _distinct(seeds)
 
     @model_validator(mode="after")
@@ -119,20 +122,21 @@ class _Checks(_Axes):
         for name in self.overrides:
             if name not in self.tasks:
                 near = nearest(name, self.tasks) or self.tasks[0]
-                raise ValueError(f"overrides.{name} is for a task that is not in tasks. Nearest: {near}.")
+                raise ValueError(f"overrides.{name}: {name} is not in tasks. Nearest: {near}.")
         return self
 
     @cached_property
     def each_task(self) -> tuple[TaskSettings, ...]:
         """The sections of PER_TASK for each task, in the order of the tasks."""
-        return tuple(self._of_task(name) for name in self.tasks)
+        return tuple(self._settings_of(name) for name in self.tasks)
 
-    def _of_task(self, task: str) -> TaskSettings:
+    def _settings_of(self, task: str) -> TaskSettings:
         override = self.overrides.get(task, TaskOverrides())
         return TaskSettings(**{name: self._overridden(name, task, getattr(override, name)) for name in PER_TASK})
 
     def _overridden(self, section: str, task: str, override: Mapping[str, Any]) -> Any:
-        base = _given(getattr(self, section))
+        """A section merged with a task's override and validated."""
+        base = _explicit(getattr(self, section))
         if section == "task":
             return validated(TaskConfig, {**base, **override, "name": task}, ("overrides", task, section))
         if not override:
@@ -142,7 +146,7 @@ class _Checks(_Axes):
         return getattr(validated(model, content, ("overrides", task)), section)
 
 
-Settings = create_model("Settings", __base__=_Checks, __doc__="All that one variant is made from.", **_sections())
+Settings = create_model("Settings", __base__=_Checks, __doc__="All settings of one variant.", **_sections())
 
 
 class Study(Settings):
@@ -151,13 +155,13 @@ class Study(Settings):
     name: str = Field("laptop", description="Folder in results/, experiment in MLflow.")
     variants: dict[str, dict[str, JsonValue]] = Field(
         {},
-        description="Name -> overrides of any section. {expand: [a, b]} in place of a value gives one variant for each value. "
-        "Without variants there is one, `base`, which overrides nothing.",
+        description="Name -> overrides of any section. {expand: [a, b]} in place of a value gives one variant for each "
+        "value. Without variants the study has one, `base`, which overrides nothing.",
     )
     report: ReportConfig = Field(ReportConfig(), description="Stage report, one artifact.")
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto",
-        description="Where networks run. auto: the GPU, if torch sees one.",
+        description="Device of the networks. auto: the GPU if torch sees one, else the CPU.",
         json_schema_extra=OUTSIDE_KEY,
     )
 
@@ -175,8 +179,8 @@ class Study(Settings):
 
     @cached_property
     def resolved(self) -> dict[str, Settings]:
-        """Every variant, expanded and merged into the base."""
-        base = {name: _given(getattr(self, name)) for name in self.model_fields_set & set(Settings.model_fields)}
+        """Variant -> settings: the base with the variant's overrides."""
+        base = {name: _explicit(getattr(self, name)) for name in self.model_fields_set & set(Settings.model_fields)}
         overrides = expanded(self.variants) or {"base": {}}
         return {name: self._variant(name, base, override) for name, override in overrides.items()}
 
@@ -185,18 +189,18 @@ class Study(Settings):
         if "tasks" in override:
             where = dotted((*place, "tasks"))
             raise ConfigError(
-                f"{where}: the variants of a study share their tasks. Write a study of its own for others."
+                f"{where}: the variants of a study share their tasks. Write another study for other tasks."
             )
         settings = validated(Settings, merge(base, override), place, root=Study)
-        with _inside(place):
-            settings.each_task
+        with _named(place):
+            _ = settings.each_task  # validates the overrides of the tasks
         return settings
 
 
 def load_study(content: Mapping[str, Any]) -> Study:
-    """The study in a configuration, with every variant, task and file checked.
+    """Validates a configuration with all its variants, tasks and files.
 
-    Raises ConfigError, which names each fault and its mend.
+    Raises ConfigError with one line for each fault and its mend.
     """
     study = validated(Study, dict(content))
     faults = list(_faults(study))
@@ -210,39 +214,39 @@ def load_study(content: Mapping[str, Any]) -> Study:
     return study
 
 
-def _given(value: Any) -> Any:
-    """What the configuration says of a section, with its kind: the kind decides what a variant's override is merged into."""
+def _explicit(value: Any) -> Any:
+    """The keys that the configuration sets in a section, and the section's kind, which `merge` needs."""
     if isinstance(value, BaseModel):
-        content = {name: _given(getattr(value, name)) for name in value.model_fields_set}
+        content = {name: _explicit(getattr(value, name)) for name in value.model_fields_set}
         return content | ({"kind": value.kind} if "kind" in type(value).model_fields else {})
     if isinstance(value, Mapping):
-        return {name: _given(item) for name, item in value.items()}
+        return {name: _explicit(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_given(item) for item in value]
+        return [_explicit(item) for item in value]
     return value
 
 
 def _faults(settings: Settings) -> Iterator[str]:
-    """Files that the settings name and that are not there; muscles that a robot does not have; experts that are missing."""
+    """Messages for missing files, excitation without muscles, and missing zoo experts and critics."""
     if TASKS[settings.tasks[0]].suite != "myo":
         spaces = {"imitation": {settings.imitation.action_space}}
         for section in ("critic", "expert"):
-            spaces[section] = {getattr(getattr(each, section), "action_space", "raw") for each in settings.each_task}
+            spaces[section] = {getattr(getattr(task, section), "action_space", "raw") for task in settings.each_task}
         for section in sorted(name for name, values in spaces.items() if "excitation" in values):
             yield (
-                f"{section}.action_space: {settings.tasks[0]} is moved by motors, and excitation is of muscles. "
-                "Set it to raw."
+                f"{section}.action_space: excitation needs muscles, and {settings.tasks[0]} has motors. Set it to raw."
             )
     for place, path in _paths(settings):
         if not path.exists():
             yield (
-                f"{dotted(place)}: {path} does not exist. Give the path of a file that does; it counts from the folder of "
+                f"{dotted(place)}: {path} does not exist. Give the path of an existing file, relative to the folder of "
                 "config.yaml."
             )
-    yield from zoo.faults([(each.task.name, each.expert, each.critic) for each in settings.each_task])
+    yield from zoo.faults([(task.task.name, task.expert, task.critic) for task in settings.each_task])
 
 
 def _paths(section: BaseModel, place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Path]]:
+    """(place in the configuration, path) of every path in a section."""
     for name in type(section).model_fields:
         value = getattr(section, name)
         if isinstance(value, BaseModel):
@@ -252,8 +256,8 @@ def _paths(section: BaseModel, place: tuple[str, ...] = ()) -> Iterator[tuple[tu
 
 
 @contextmanager
-def _inside(place: tuple[str, ...]) -> Iterator[None]:
-    """Puts a variant's name before the faults of its tasks."""
+def _named(place: tuple[str, ...]) -> Iterator[None]:
+    """Prefixes a ConfigError with the variant's name."""
     try:
         yield
     except ConfigError as error:
@@ -263,13 +267,13 @@ def _inside(place: tuple[str, ...]) -> Iterator[None]:
 def _distinct(items: tuple[Item, ...]) -> tuple[Item, ...]:
     twice = [item for item in dict.fromkeys(items) if items.count(item) > 1]
     if twice:
-        raise ValueError(f"{twice[0]!r} stands there twice; name it once.")
+        raise ValueError(f"{twice[0]!r} is listed twice. List it once.")
     return items
 
 
 def _path_part(name: str, reserved: tuple[str, ...]) -> str:
     if not NAME.fullmatch(name) or name in reserved:
         raise ValueError(
-            f"{name!r} becomes a folder: use letters, digits, '.', '_' and '-', and none of {', '.join(reserved)}."
+            f"{name!r} cannot name a folder. Use letters, digits, '.', '_' and '-', and none of {', '.join(reserved)}."
         )
     return name

@@ -1,4 +1,4 @@
-"""Variants of a study: overrides of the base, expanded over lists."""
+"""Variants of a study: overrides of the base. Lists under `expand` give several variants."""
 
 import itertools
 import json
@@ -12,10 +12,11 @@ Place = tuple[str, ...]
 
 
 def expanded(variants: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Every variant by its name, with each `{expand: [...]}` replaced by one of its values.
+    """Name -> override, with each `{expand: [...]}` replaced by one of its values.
 
-    `demos: {rollouts: {demonstrations: {expand: [10, 30]}}}` gives `demos-demonstrations-10` and `demos-demonstrations-30`;
-    several lists in one variant give every combination.
+    `demos: {rollouts: {demonstrations: {expand: [10, 30]}}}` gives `demos-demonstrations-10` and
+    `demos-demonstrations-30`. Several lists in one variant give every combination. Raises ValueError of a malformed
+    `expand` or a repeated name.
     """
     named: dict[str, dict[str, Any]] = {}
     for name, override in variants.items():
@@ -24,7 +25,7 @@ def expanded(variants: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, A
             parts = [f"{place[-1]}-{_slug(value)}" for (place, _), value in zip(lists, choice, strict=True)]
             full = "-".join([name, *parts])
             if full in named:
-                raise ValueError(f"two variants are called {full!r}; rename one of them")
+                raise ValueError(f"two variants have the name {full!r}. Rename one of them.")
             chosen = dict(override)
             for (place, _), value in zip(lists, choice, strict=True):
                 chosen = _replaced(chosen, place, value)
@@ -33,7 +34,7 @@ def expanded(variants: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, A
 
 
 def _lists(value: Any, place: Place = ()) -> Iterator[tuple[Place, list[Any]]]:
-    """Where a value is to be expanded, and over what."""
+    """(place, values) of every `expand` in an override."""
     if not isinstance(value, Mapping):
         return
     if EXPAND in value:
@@ -41,7 +42,8 @@ def _lists(value: Any, place: Place = ()) -> Iterator[tuple[Place, list[Any]]]:
         if set(value) != {EXPAND} or not isinstance(values, list) or not values or not place:
             where = ".".join(place) or "the variant"
             raise ValueError(
-                f"{where}: write {{{EXPAND}: [first, second, ...]}} in place of one value, and nothing beside it"
+                f"{where}: {EXPAND} is malformed. Write {{{EXPAND}: [first, second, ...]}} in place of one value, and "
+                "no other key beside it."
             )
         yield place, values
         return
@@ -50,6 +52,7 @@ def _lists(value: Any, place: Place = ()) -> Iterator[tuple[Place, list[Any]]]:
 
 
 def _replaced(override: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
+    """A copy of `override` with `value` at `place`."""
     head, *rest = place
     return {**override, head: _replaced(override[head], tuple(rest), value) if rest else value}
 

@@ -1,12 +1,11 @@
-"""What defines a task: digests of its sources, for the keys of the artifacts that are made by it.
+"""Definition of a task: digests of its sources, for the keys of its artifacts.
 
-A task is defined by the file of its kind, the file of its environment, and every file in acgd/tasks that these import,
-directly or through others. What they say counts, and not how it is written: comments, docstrings and
-layout are left out.
-Files in acgd/tasks/rendering, and the kind's `CAMERA`, change a picture; the others change an episode.
+The sources are the file of the task's kind, the file of its environment, and all files in acgd/tasks that these import,
+directly or indirectly. Digests are those of syntax trees without comments, docstrings and layout. Files in
+acgd/tasks/rendering and a kind's `CAMERA` belong to the digest of pictures, other statements to that of episodes. An
+edit of a kind remakes the artifacts of that kind. An edit of its camera remakes only artifacts that depend on pictures.
 
-So an edit of a kind remakes the artifacts of that kind, and an edit of its camera only what was made from pictures.
-Nothing here imports a simulator, and a digest is the same under every version of Python that can read the sources.
+This file imports no simulator. A digest is the same in every version of Python that can parse the sources.
 """
 
 import ast
@@ -22,22 +21,22 @@ from acgd.tasks.spec import TASKS
 FOLDER = Path(__file__).parent
 PACKAGE = "acgd.tasks"
 LEFT_OUT = ("spec.py", "settings.py", "registry.py", "definition.py", "rendering/gl.py")
-"""Names, settings (a stage's request holds them), and how OpenGL is started: they define no task."""
+"""Files that define no task: names, settings (a stage's request contains them), and the start of OpenGL."""
 RENDERING = "rendering"
 CAMERA = "CAMERA"
 
 
 class Definition(NamedTuple):
-    """SHA-256 of what changes an episode, and of what changes only a picture."""
+    """SHA-256 of the sources that change an episode, and of those that change only a picture."""
 
     episode: str
     """Model, starts, observations, reward, success, time limit."""
     picture: str
-    """Camera, renderer, and which entries of the state vision has to find out."""
+    """Camera, renderer, and the names of the privileged entries of the state."""
 
 
 def definition(task_name: str) -> Definition:
-    """The digests of a task, from the sources as they are on the disk now. Files that look untouched are read once."""
+    """The digests of a task from the current sources. A file of unchanged size and time is read once per process."""
     spec = TASKS[task_name]
     episode = [repr((spec.name, spec.suite, spec.kind, spec.gym_id, spec.horizon))]
     picture = [repr(spec.privileged)]
@@ -52,26 +51,26 @@ def definition(task_name: str) -> Definition:
 
 
 def sources(task_name: str) -> list[Path]:
-    """The files that define a task, sorted."""
+    """Sorted source files of a task."""
     spec = TASKS[task_name]
     left_out = {FOLDER / name for name in LEFT_OUT}
     reached: set[Path] = set()
-    waiting = [_file(spec.module), _file(spec.environment.split(":")[0])]
-    while waiting:
-        file = waiting.pop()
+    pending = [_file(spec.module), _file(spec.environment.split(":")[0])]
+    while pending:
+        file = pending.pop()
         if file and file not in reached and file not in left_out:
             reached.add(file)
-            waiting += map(_file, _read(file).imports)
+            pending += map(_file, _read(file).imports)
     return sorted(reached)
 
 
 def packages(task_name: str) -> dict[str, str]:
-    """Installed versions of the packages that change an episode of the task. Reads their metadata, imports nothing."""
+    """Installed versions of the packages that change an episode of the task, from package metadata."""
     return {name: _version(name) for name in ("mujoco", *_PACKAGES[TASKS[task_name].suite])}
 
 
 def drawing_packages() -> dict[str, str]:
-    """Installed versions of the packages that change a picture, besides those that change an episode."""
+    """Installed versions of the packages that change pictures and no episodes."""
     return {"fast-simplification": _version("fast-simplification")}
 
 
@@ -80,18 +79,18 @@ _PACKAGES: dict[str, tuple[str, ...]] = {
     "bidex": ("gymnasium-robotics",),
     "opdex": (),
 }
-"""Suite -> packages whose version changes an episode, besides MuJoCo."""
+"""Suite -> packages other than MuJoCo whose version changes an episode."""
 
 
 class _Source(NamedTuple):
-    """One file."""
+    """Digests and imports of one file."""
 
     episode: str
-    """Digest of the statements that may change an episode; empty where there are none."""
+    """Digest of the statements that may change an episode; empty without such statements."""
     picture: str
-    """Digest of the statements that only change a picture; empty where there are none."""
+    """Digest of the statements that change only a picture; empty without such statements."""
     imports: tuple[str, ...]
-    """Modules of acgd.tasks that it may import, functions' imports included."""
+    """Names in acgd.tasks that the file imports, at module level or in functions."""
 
 
 def _read(file: Path) -> _Source:
@@ -103,13 +102,13 @@ def _read(file: Path) -> _Source:
 def _read_at(file: Path, size: int, mtime_ns: int) -> _Source:
     tree = ast.parse(file.read_bytes())
     rendering = file.is_relative_to(FOLDER / RENDERING)
-    drawn = [statement for statement in tree.body if rendering or _is_drawn(statement)]
-    others = [statement for statement in tree.body if statement not in drawn]
-    return _Source(*(_digest(_text(part)) if part else "" for part in (others, drawn)), tuple(_imports(tree)))
+    picture = [statement for statement in tree.body if rendering or _is_picture(statement)]
+    episode = [statement for statement in tree.body if statement not in picture]
+    return _Source(*(_digest(_text(part)) if part else "" for part in (episode, picture)), tuple(_imports(tree)))
 
 
-def _is_drawn(statement: ast.stmt) -> bool:
-    """Whether a statement of a kind's file gives the camera, or imports what the camera is made by."""
+def _is_picture(statement: ast.stmt) -> bool:
+    """Whether a statement of a kind's file defines the camera, or imports from acgd.tasks.rendering."""
     if isinstance(statement, ast.Assign | ast.AnnAssign):
         targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
         return any(isinstance(target, ast.Name) and target.id == CAMERA for target in targets)
@@ -117,7 +116,7 @@ def _is_drawn(statement: ast.stmt) -> bool:
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:
-    """`from acgd.tasks import starts` may name a module or a name in a module: both are given."""
+    """Imported names in acgd.tasks. `from a import b` yields both `a` and `a.b`, since `b` may be a module."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -131,14 +130,16 @@ def _imports(tree: ast.AST) -> Iterator[str]:
 
 
 def _file(module: str) -> Path | None:
-    """The file of a module of acgd.tasks; None for a name in a module, and for a folder."""
+    """File of a module of acgd.tasks; None for a name in a module and for a folder."""
     file = FOLDER.joinpath(*module.removeprefix(f"{PACKAGE}.").split(".")).with_suffix(".py")
     return file if file.is_file() else None
 
 
 def _text(value: object) -> str:
-    """Syntax as text, without places and string statements. Empty fields are left out: which there are differs between
-    versions of Python."""
+    """Syntax tree as text, without positions and string statements.
+
+    Empty fields are left out, because their set differs between versions of Python.
+    """
     if isinstance(value, ast.AST):
         fields = ((name, getattr(value, name, None)) for name in value._fields)
         inner = [f"{name}={_text(item)}" for name, item in fields if item is not None and item != []]
@@ -149,7 +150,7 @@ def _text(value: object) -> str:
 
 
 def _is_comment(node: object) -> bool:
-    """A docstring, or a string below a constant."""
+    """Whether the node is a docstring or a string below a constant."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 

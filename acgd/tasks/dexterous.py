@@ -1,8 +1,11 @@
 """Tasks of position-controlled robot hands: BiDex (two Shadow Hands) and OpDex (an Allegro hand).
 
-An action moves the servos' targets. It is smoothed, m <- SMOOTHING a + (1 - SMOOTHING) m, and the targets follow,
-q* <- clip(q* + stride m). The targets are MuJoCo's controls; m, and for how many steps the goal has been met, are
-its user data: the simulator's own state is all that an episode continues from.
+An action a moves the targets q* of the servos through the smoothed action m:
+
+    m <- SMOOTHING a + (1 - SMOOTHING) m,   q* <- clip(q* + stride m).
+
+q* are MuJoCo's controls. m and the number of steps for which the goal has been met are MuJoCo's user data. The
+simulator's state is therefore all that the continuation of an episode depends on.
 """
 
 import gymnasium
@@ -18,13 +21,13 @@ from acgd.tasks.success import SuccessCounter
 from acgd.tasks.weights import merge_weights
 
 SUBSTEPS = 8
-"""Of 5 ms: 25 control steps a second."""
+"""Simulator steps of 5 ms in one control step: 25 control steps per second."""
 SMOOTHING = 0.7
 AFTERWARDS = 10
-"""Control steps from success to the end of an episode, so that its last frame is an image of the goal. It ends as a
-truncation: as a termination, staying just short of success would pay better."""
+"""Control steps from success to the end of an episode, so that the last frame shows the goal. The episode is truncated:
+with a termination, a policy that stays just short of success would earn more."""
 WEIGHTS = {"solved": 2.0, "failed": -5.0, "effort": -1e-3, "change": -1e-2}
-"""Of the terms that all tasks share: solved, failed, and the squares of the action and of its change."""
+"""Weights of the common reward terms: solved, failed, squared norms of the action and of its change."""
 
 _BAD = [
     int(kind)
@@ -35,10 +38,12 @@ _BAD = [
 class DexterousTask(gymnasium.Env):
     """A BiDex or OpDex task.
 
-    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` float32: the robot's joint
-    positions, velocities times the control step, targets (metres and radians), and the smoothed action; `state` (S,)
-    float32: proprio, the steps for which the goal has been met, and everything about the object, named by
-    `state_layout`.
+    Observations:
+    - `image` (H, W, 3) uint8, absent with `image_size=None`;
+    - `proprio` (P,) float32: joint positions, joint velocities times the control step, targets (all in m and rad), and
+      the smoothed action;
+    - `state` (S,) float32: proprio, the share of `hold_steps` for which the goal has been met, and the entries of
+      the object. `state_layout` names its columns.
 
     Actions: (A,) in [-1, 1], in the order of the model's actuators.
     """
@@ -78,7 +83,7 @@ class DexterousTask(gymnasium.Env):
     # -- episode ---------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Start an episode; the same seed gives the same start, whatever came before."""
+        """Starts an episode. The start is a function of `seed`."""
         super().reset(seed=seed)
         if seed is None:
             seed = int(self.np_random.integers(2**31))
@@ -87,11 +92,11 @@ class DexterousTask(gymnasium.Env):
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
 
     def step(self, action: np.ndarray):
-        """One control step.
+        """Executes one control step.
 
-        `truncated` at the time limit or some steps after success, unless `ignore_time_limit` is set.
+        `truncated` at the time limit or AFTERWARDS steps after success, unless `ignore_time_limit` is set.
         """
-        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip takes longer
+        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip is slower
         if np.isnan(action).any():
             raise ValueError(
                 f"{self.task.name} was given an action that is not a number: look for the fault in the policy"
@@ -101,7 +106,7 @@ class DexterousTask(gymnasium.Env):
         self.data.ctrl[:] = np.minimum(
             np.maximum(self.data.ctrl + self.scene.robot.stride * self._moving, self._low), self._high
         )
-        for _ in range(SUBSTEPS):  # second halves first: positions and contacts are up to date afterwards
+        for _ in range(SUBSTEPS):  # step2 before step1, so that positions and contacts are current after the loop
             mujoco.mj_step2(self.model, self.data)
             mujoco.mj_step1(self.model, self.data)
         self._met_steps[:] = self._met_steps + 1 if self.scene.met(self.data) else 0
@@ -122,13 +127,13 @@ class DexterousTask(gymnasium.Env):
         return self._observe(), float(reward), terminated, truncated, out
 
     def snapshot(self) -> Snapshot:
-        """The current state; `restore` continues from it bit for bit."""
+        """The current state. A restored episode continues bit for bit."""
         integration = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, integration, STATE)
         return Snapshot(integration, {}, self.steps, self.success.solved_steps, self.success.last)
 
     def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
-        """Go to a snapshot of the same task, and return its observation."""
+        """Restores a snapshot of the same task, and returns its observation. ValueError for another task's snapshot."""
         expected = mujoco.mj_stateSize(self.model, STATE)
         if snapshot.integration.shape != (expected,):
             raise ValueError(
@@ -149,7 +154,7 @@ class DexterousTask(gymnasium.Env):
         mujoco.mj_step1(self.model, self.data)
 
     def _check_start(self) -> None:
-        """A scene must start the robot within its joints' ranges."""
+        """Raises ValueError where the scene starts a joint of the robot outside its range."""
         model, position = self.model, self.data.qpos[self.hand_qpos]
         joints = model.dof_jntid[self.hand_qvel]
         low, high = model.jnt_range[joints].T
@@ -163,7 +168,7 @@ class DexterousTask(gymnasium.Env):
             )
 
     def _unstable(self) -> bool:
-        """Whether MuJoCo met a bad number, upon which it resets itself."""
+        """Whether MuJoCo warned of a bad number, after which it resets its state."""
         return bool(self.data.warning.number[_BAD].any())
 
     # -- observation -----------------------------------------------------------------------------
@@ -171,7 +176,7 @@ class DexterousTask(gymnasium.Env):
     def render(self, size: int | None = None) -> np.ndarray:
         """The current picture (size, size, 3) uint8.
 
-        Without `size` it is as large as the observation's image, or 84 pixels where the observation has none.
+        The default of `size`, in pixels, is that of the observation's image, or 84 without such an image.
         """
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:

@@ -1,6 +1,6 @@
-"""Gymnasium names of the tasks: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
+"""Gymnasium ids of the tasks: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
 
-Importing this module registers them.
+The import of this module registers the ids.
 """
 
 import gymnasium

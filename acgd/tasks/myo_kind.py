@@ -1,4 +1,4 @@
-"""What a kind of MyoDex task brings along: what is observed, where it starts, what its reset writes."""
+"""A kind of MyoDex task: its observations, its starts, and the model fields that its reset writes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,19 +10,18 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MyoKind:
-    """One kind. `base` is MyoSuite's environment, without wrappers."""
+    """One kind. `base` is MyoSuite's environment without wrappers."""
 
     model_fields: tuple[str, ...]
-    """Fields of mjModel that a reset writes: with the integration state they determine the episode."""
+    """Fields of mjModel that a reset writes. Together with the integration state they determine the episode."""
     hand_std: float
-    """Standard deviation of every hand joint's start, rad; clipped to the joint's range."""
+    """Standard deviation in rad of each hand joint's start, which is clipped to the joint's range."""
     entries: Callable[[Any, mujoco.MjData, float], dict[str, np.ndarray]]
-    """(base, data, control step in s) -> object and goal by name, each (n,)."""
+    """(base, data, control step in s) -> name -> entries (n,) of object and goal."""
     perturb: Callable[[Any, np.random.Generator, bool], None]
-    """(base, rng, goal): moves the object, and, where `goal` is true, the goal. Draws every number in any case, so that
-    a seed means the same start for all."""
+    """(base, rng, goal): moves the object and, if `goal` is true, the goal. The number of draws does not depend on
+    `goal`, so that a seed gives the same start in both cases."""
     nominal_goal: Callable[[Any], np.ndarray] | None = None
-    """base -> the goal of MyoSuite's own reset, which `perturb` finds in `base.nominal_goal`. For tasks whose goal the
-    suite does not draw."""
+    """base -> goal of MyoSuite's reset, for tasks with a fixed goal. `perturb` reads it as `base.nominal_goal`."""
     advance: Callable[[Any, float], None] | None = None
-    """(base, share): puts the start `share` of the way to the goal, for training. None: there is no such start."""
+    """(base, share): moves the start by `share` of the way to the goal, for training. None without such starts."""

@@ -1,8 +1,8 @@
 """The MyoDex suite: ten MyoSuite hand tasks with image, proprio and privileged state.
 
-One control step is MyoSuite's own: clip the action to [-1, 1], squash it to a muscle excitation, step
-the physics, score. Added here: dict observations in one joint order for the whole suite, perturbed
-starts, the three kinds of success, and snapshots that continue bit for bit.
+MyoSuite's control step clips the action to [-1, 1], maps it to a muscle excitation, steps the physics and computes the
+reward. This file adds dict observations in one joint order for the whole suite, perturbed starts, three rules of
+success, and snapshots that continue bit for bit.
 """
 
 import contextlib
@@ -30,20 +30,21 @@ HAND_JOINTS = (
     "mcp4_flexion", "mcp4_abduction", "pm4_flexion", "md4_flexion",
     "mcp5_flexion", "mcp5_abduction", "pm5_flexion", "md5_flexion",
 )  # fmt: skip
-"""Order of the hand's 23 joints in `proprio`. The suite's models disagree on the order of the thumb's."""
+"""Order of the hand's 23 joints in `proprio`. The suite's models differ in the order of the thumb's joints."""
 
 FAR = 100.0
-"""Metres or radians: an episode in which a joint gets this far ends, unsolved, with no reward in that step."""
+"""Largest joint position, m or rad. Beyond it the episode terminates unsolved, with a reward of 0 in that step."""
 
 
 class MyoDexTask(gymnasium.Env):
     """A MyoDex task.
 
-    Observations: `image` (H, W, 3) uint8 (absent with `image_size=None`); `proprio` (85,) float32: hand joint
-    positions (rad), velocities times the control step (rad), muscle activations; `state` (S,) float32:
-    proprio and everything about object and goal, named by `state_layout`.
+    Observations:
+    - `image` (H, W, 3) uint8, absent with `image_size=None`;
+    - `proprio` (85,) float32: hand joint positions (rad), velocities times the control step (rad), muscle activations;
+    - `state` (S,) float32: proprio, and the entries of object and goal. `state_layout` names its columns.
 
-    Actions: (39,) in [-1, 1], squashed by the suite to excitations 1 / (1 + exp(-5 (a - 0.5))).
+    Actions: (39,) in [-1, 1], mapped by the suite to excitations 1 / (1 + exp(-5 (a - 0.5))).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -77,8 +78,8 @@ class MyoDexTask(gymnasium.Env):
 
         self._renderers = {}
         self._image_size = image_size
-        if spec.name != "myo/obj-hold-hard":  # which refreshes geoms from the spec at every reset
-            self.base._mj_spec = None  # 40 to 70 MB an environment
+        if spec.name != "myo/obj-hold-hard":  # that task refreshes geoms from the spec at every reset
+            self.base._mj_spec = None  # frees 40 to 70 MB per environment
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float32)
         self.base.reset(seed=0)
         entries = self._state_entries()
@@ -89,9 +90,9 @@ class MyoDexTask(gymnasium.Env):
     # -- episode ---------------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Start an episode; the same seed gives the same start, whatever came before.
+        """Starts an episode. The start is a function of `seed` and `options`.
 
-        `options={"advance": x}` starts x of the way from there to the goal, for training: of `ADVANCED_KINDS`.
+        `options={"advance": x}` moves the start by a share x of the way to the goal, for tasks of ADVANCED_KINDS.
         """
         super().reset(seed=seed)
         if seed is None:
@@ -109,9 +110,9 @@ class MyoDexTask(gymnasium.Env):
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
 
     def step(self, action: np.ndarray):
-        """One control step.
+        """Executes one control step.
 
-        `truncated` at the time limit, unless `ignore_time_limit` is set; an unstable simulation terminates.
+        `truncated` at the time limit, unless `ignore_time_limit` is set. `terminated` where the simulation is unstable.
         """
         _, reward, terminated, _, info = self.base.step(np.asarray(action, np.float32))
         self.steps += 1
@@ -126,11 +127,11 @@ class MyoDexTask(gymnasium.Env):
         return self._observe(), reward, terminated, truncated, out
 
     def _unstable(self) -> bool:
-        """Whether the simulation has left physics behind: a pen thrown for kilometres would be a reward of -46,000."""
+        """Whether the simulation is unstable. A pen at a distance of kilometres would give a reward of -46,000."""
         return self.base._check_mj_instability_termination() or np.abs(self.data.qpos).max() > FAR
 
     def snapshot(self) -> Snapshot:
-        """The current state; `restore` continues from it bit for bit."""
+        """The current state. A restored episode continues bit for bit."""
         integration = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, integration, STATE)
         fields = {f: getattr(self.model, f).copy() for f in self.kind.model_fields}
@@ -139,7 +140,7 @@ class MyoDexTask(gymnasium.Env):
         return Snapshot(integration, fields, self.steps, self.success.solved_steps, self.success.last)
 
     def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
-        """Go to a snapshot of the same task, and return its observation."""
+        """Restores a snapshot of the same task, and returns its observation."""
         for name, value in snapshot.model_fields.items():
             if name == "target_angles":
                 self.base.target_jnt_value = value.copy()
@@ -148,7 +149,7 @@ class MyoDexTask(gymnasium.Env):
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         mujoco.mj_forward(self.model, self.data)
-        # the forward pass moves the solver's warm start: set it back
+        # the forward pass changes the solver's warm start, which this line restores
         mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         self.steps = snapshot.steps
         self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
@@ -159,7 +160,7 @@ class MyoDexTask(gymnasium.Env):
     def render(self, size: int | None = None) -> np.ndarray:
         """The current picture (size, size, 3) uint8.
 
-        Without `size` it is as large as the observation's image, or 84 pixels where the observation has none.
+        The default of `size`, in pixels, is that of the observation's image, or 84 without such an image.
         """
         size = size or self._image_size or DEFAULT_SIZE
         if size not in self._renderers:
@@ -177,7 +178,7 @@ class MyoDexTask(gymnasium.Env):
         return obs
 
     def _state_entries(self) -> dict[str, np.ndarray]:
-        """The privileged state by name; proprio comes first."""
+        """Name -> entries of the privileged state, those of proprio first."""
         data, step = self.data, self.control_step
         entries = {
             "hand_qpos": data.qpos[self.hand_qpos],
@@ -188,7 +189,7 @@ class MyoDexTask(gymnasium.Env):
 
 
 def _make_base(gym_id: str):
-    """MyoSuite's environment without wrappers; its import and model warnings are not for our users."""
+    """MyoSuite's environment without wrappers. Warnings of its import and its models are suppressed."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         import myosuite  # noqa: F401  (registers the environments)

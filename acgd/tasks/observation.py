@@ -4,11 +4,11 @@ import gymnasium
 import numpy as np
 
 DEFAULT_SIZE = 84
-"""Pixels a side of a picture of an environment whose observations have none."""
+"""Height and width in pixels of a rendered picture where the observations have no image."""
 
 
 def layout(entries: dict[str, np.ndarray]) -> dict[str, slice]:
-    """Where each named entry lies in the state that they are joined to, in their order."""
+    """Name -> columns of the state that concatenates the entries in order."""
     slices, at = {}, 0
     for name, value in entries.items():
         slices[name] = slice(at, at + value.size)
@@ -17,7 +17,7 @@ def layout(entries: dict[str, np.ndarray]) -> dict[str, slice]:
 
 
 def space(proprio: int, state: int, image_size: int | None) -> gymnasium.spaces.Dict:
-    """`proprio` (P,) and `state` (S,) float32, and `image` (H, H, 3) uint8 unless its size is None."""
+    """`proprio` (P,) and `state` (S,) float32, and `image` (H, H, 3) uint8 unless `image_size` is None."""
     spaces = {
         name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         for name, size in (("proprio", proprio), ("state", state))

@@ -1,4 +1,4 @@
-"""Which task, from which starts, and how large its pictures are."""
+"""Settings of a task and of its images."""
 
 import difflib
 from typing import Literal
@@ -10,7 +10,7 @@ from acgd.tasks.spec import TASKS
 
 
 class TaskConfig(Section):
-    """One task of a study: all that decides what happens in an episode."""
+    """One task of a study: the settings that change an episode."""
 
     name: str = Field(description="Name of a task, such as myo/key-turn or myo/reach-hard.")
     start: Literal["perturbed", "nominal"] = Field(
@@ -28,6 +28,6 @@ class TaskConfig(Section):
 
 
 class ImageConfig(Section):
-    """The image of an observation. Experts and critics see none."""
+    """The image of an observation. Experts and critics use no images."""
 
     size: int = Field(84, ge=32, le=512, description="Height and width of the image in pixels.")

@@ -1,4 +1,4 @@
-"""A moment of an episode, to come back to."""
+"""Snapshots of an episode."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""Positions, velocities, controls, user data and the solver's warm start: all that MuJoCo continues from."""
+"""Positions, velocities, controls, user data and the solver's warm start: the state that MuJoCo integrates."""
 
 
 @dataclass(frozen=True)
@@ -14,9 +14,9 @@ class Snapshot:
     """Everything that the continuation of an episode depends on."""
 
     integration: np.ndarray
-    """(N,) float64, mjSTATE_INTEGRATION."""
+    """(N,) float64, mjSTATE_INTEGRATION"""
     model_fields: dict[str, np.ndarray]
-    """Fields of mjModel written at reset; `target_angles` (23,) for pose tasks. Empty where a reset leaves the model alone."""
+    """Fields of mjModel that a reset writes, and `target_angles` (23,) of pose tasks. Empty in the dexterous suites."""
     steps: int = 0
     solved_steps: int = 0
     solved: bool = False

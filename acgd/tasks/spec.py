@@ -1,4 +1,4 @@
-"""Every task by name, as the pipeline sees it. Importing this loads no simulator."""
+"""The table of tasks. This file imports no simulator."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -10,37 +10,37 @@ class TaskSpec:
     """One task."""
 
     name: str
-    """`<suite>/<task>`, the name in configurations and reports."""
+    """`<suite>/<task>`, the name in configurations and reports"""
     suite: str
-    """Tasks of a suite share their action and proprio spaces."""
+    """Tasks of one suite have the same action and proprio spaces."""
     kind: str
-    """Which state layout, start distribution and camera it has: `key-turn` stands in acgd/tasks/kinds/key_turn.py."""
+    """State layout, starts and camera: the kind `key-turn` is in acgd/tasks/kinds/key_turn.py."""
     gym_id: str | None
-    """MyoSuite's own environment; None in the suites that are built here."""
+    """Gymnasium id of MyoSuite's environment; None in the suites bidex and opdex."""
     horizon: int
-    """Steps to the time limit."""
+    """Time limit in control steps."""
     privileged: tuple[str, ...]
-    """Entries of the state that hold object and goal: what vision has to find out."""
+    """Names of the state entries of object and goal, which a student can only see in the image."""
     goal: str
-    """Where the goal varies, and where a policy without the state can see it."""
+    """Variation of the goal, and its place in the observation of a policy without the state."""
 
     @property
     def slug(self) -> str:
-        """The name as part of a path: `myo-key-turn`."""
+        """The name in a path: `myo-key-turn`."""
         return self.name.replace("/", "-")
 
     @property
     def module(self) -> str:
-        """The module of its kind: `acgd.tasks.kinds.key_turn`."""
+        """Module of the kind: `acgd.tasks.kinds.key_turn`."""
         return f"acgd.tasks.kinds.{self.kind.replace('-', '_')}"
 
     @property
     def environment(self) -> str:
-        """Import string of its Gymnasium environment."""
+        """Import string of the Gymnasium environment."""
         return ENVIRONMENTS[self.suite]
 
     def code(self) -> ModuleType:
-        """The imported module of its kind: `CAMERA`, and `KIND` (MyoKind) or `SCENE` (makes a Scene). Loads MuJoCo."""
+        """The module of the kind: `CAMERA`, and `KIND` (MyoKind) or `SCENE` (constructs a Scene). Imports MuJoCo."""
         return import_module(self.module)
 
 
@@ -49,7 +49,7 @@ ENVIRONMENTS = {
     "bidex": "acgd.tasks.dexterous:DexterousTask",
     "opdex": "acgd.tasks.dexterous:DexterousTask",
 }
-"""By suite."""
+"""Suite -> import string of the environment."""
 
 _KEY = ("key_qpos", "key_pos")
 _HOLD = ("obj_pos", "goal_pos")
@@ -200,6 +200,6 @@ _SPECS = (
 )
 
 ADVANCED_KINDS = ("key-turn", "pose")
-"""Kinds with starts on the way to the goal: their `KIND.advance` makes them."""
+"""Kinds with starts on the way to the goal, by `KIND.advance`."""
 
 TASKS: dict[str, TaskSpec] = {spec.name: spec for spec in _SPECS}

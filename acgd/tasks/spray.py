@@ -1,7 +1,7 @@
-"""OpDex: take a spray bottle by its neck and press the trigger, without knocking the bottle over.
+"""OpDex: grasp a spray bottle by its neck and press the trigger, without toppling the bottle.
 
-World: +x is where the bottle sprays, +z is up, the table's top is z = 0. The hand comes from -y, its palm towards +y,
-its index finger uppermost.
+World frame: the bottle sprays along +x, +z is up, and the table's top is z = 0. The hand approaches from -y with its
+palm towards +y and its index finger on top.
 """
 
 import math
@@ -16,46 +16,49 @@ from acgd.tasks.scene import NEAR, Robot, Touch, closeness, compiled, rest
 
 @dataclass(frozen=True)
 class Bottle:
-    """Metres. The trigger hangs from the head, `REACH_OUT` in front of the neck's axis."""
+    """Sizes in metres. The trigger hangs from the head, `REACH_OUT` in front of the neck's axis."""
 
     half: tuple[float, float, float]
-    """Of the body. Round: radius, radius, half height."""
+    """Half sizes of the body; of a round one radius, radius, half height."""
     round: bool
     neck_radius: float
     trigger: float
-    """Length of the trigger, and of the neck beside it."""
+    """Length of the trigger and of the neck."""
 
     @property
     def shoulder(self) -> float:
-        """Height at which body ends and neck begins."""
+        """Height of the top of the body, where the neck begins."""
         return 2 * self.half[2]
 
 
 REACH_OUT = 0.05
+"""Distance of the trigger's hinge from the neck's axis, metres."""
 TRAVEL = 0.5
-"""rad, to which the trigger goes."""
+"""Largest angle of the trigger, rad."""
 PRESSED = 0.35
-"""rad, from which the bottle sprays."""
+"""Angle of the trigger above which the bottle sprays, rad."""
 HOLD_STEPS = 10
+"""Consecutive control steps of spraying that solve the task."""
 UPRIGHT, TOPPLED = 0.9, 0.8
-"""Cosine of the bottle's tilt."""
+"""Cosines of the bottle's tilt: an upright bottle lies above the first, a toppled one below the second."""
 TABLE = 0.35
-"""Half a side of the table, metres."""
+"""Half the side of the table, metres."""
 
 GRASP = np.array([0.05, 0.0, 0.0])
-"""Where in the palm's frame the neck's axis belongs, metres."""
+"""Place of the neck's axis in the palm's frame in a grasp, metres."""
 PALM = (0.5, 0.5, 0.5, 0.5)
-"""Orientation of the palm where the wrist's hinges are zero: palm +x is world +y, +y is +z, +z is +x."""
+"""Orientation of the palm at wrist angles of zero: palm +x is world +y, +y is +z, +z is +x."""
 WRIST = np.array([(-0.20, 0.15), (-0.25, 0.10), (-0.10, 0.15), (-0.6, 0.6), (-0.6, 0.6), (-0.6, 0.6)])
-"""Range of the wrist, about the place where the neck is at GRASP."""
+"""Ranges of the wrist joints, m and rad, relative to the place where the neck is at GRASP."""
 OPEN = np.array([0, 0.0, 0.4, 0.3] * 3 + [1.2, 0.3, 0.1, 0.1])
-"""Fingers of the near start, rad."""
+"""Finger angles (16,) at the start, rad."""
 NEAR_WRIST = np.array([-0.05, -0.12, 0.0, 0, 0, 0])
 FAR_WRIST = np.array([-0.06, -0.22, 0.06, 0, 0, 0])
+"""Wrist joints (6,) of near and far starts, m and rad."""
 WRIST_NOISE, JOINT_NOISE = 0.015, 0.05
-"""Metres; share of a finger joint's range."""
+"""Uniform noise of a start: wrist position in metres, finger angles in shares of their range."""
 PLACE_NOISE, YAW_NOISE, TRIGGER_NOISE = 0.05, 0.5, 0.05
-"""Of the bottle: metres, rad, rad."""
+"""Uniform noise of the bottle: place in metres, yaw and trigger in rad."""
 
 
 class SprayScene:
@@ -85,7 +88,7 @@ class SprayScene:
         self._touch = Touch((thumb, neck), (finger, neck | trigger), (finger, trigger))
 
     def reset(self, data: mujoco.MjData, rng: np.random.Generator | None) -> None:
-        """The hand open, beside the neck or a hand's length away; the bottle upright, its nozzle towards +x."""
+        """Starts with an open hand, near or far from the neck, and an upright bottle with its nozzle towards +x."""
         wrist, fingers, place = FAR_WRIST.copy(), OPEN.copy(), np.zeros(4)
         if rng is not None:
             near = rng.random() < NEAR
@@ -101,8 +104,10 @@ class SprayScene:
         data.ctrl[:] = rest(self.model, data)
 
     def entries(self, data: mujoco.MjData) -> dict[str, np.ndarray]:
-        """Rotations as two rows of the matrix; vectors in the world's frame, metres and seconds. `touch`: thumb and neck, a
-        finger and neck or trigger, a finger and trigger."""
+        """Name -> entries. Rotations are two rows of the matrix; vectors are in the world frame, in m and m/s.
+
+        `touch` (3,): thumb and neck; a finger and neck or trigger; a finger and trigger.
+        """
         neck, tips = data.site_xpos[self._neck], data.site_xpos[self._tips]
         return {
             "bottle_pos": data.xpos[self._body],
@@ -118,7 +123,7 @@ class SprayScene:
         }
 
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
-        """Each between 0 and 1."""
+        """Reward terms. All but `tilt`, which is 1 minus the cosine of the tilt, lie in [0, 1]."""
         grip, index, middle = data.site_xpos[[self._grip, *self._tips[:2]]]
         thumb, finger, _ = self._touch(data)
         return {
@@ -130,11 +135,11 @@ class SprayScene:
         }
 
     def met(self, data: mujoco.MjData) -> bool:
-        """The trigger is pressed and the bottle upright."""
+        """Whether the trigger is pressed and the bottle is upright."""
         return bool(data.qpos[self._trigger] > PRESSED and self._upright(data) > UPRIGHT)
 
     def failed(self, data: mujoco.MjData) -> bool:
-        """The bottle has toppled or left the table."""
+        """Whether the bottle has toppled or left the table."""
         return bool(self._upright(data) < TOPPLED or max(map(abs, data.xpos[self._body, :2])) > TABLE)
 
     def _upright(self, data: mujoco.MjData) -> float:
@@ -159,7 +164,7 @@ def _build(bottle: Bottle) -> mujoco.MjModel:
 
 
 def _add_bottle(spec: mujoco.MjSpec, bottle: Bottle) -> None:
-    """Body, neck and head in one piece, .36 kg, free; the trigger on a hinge with a spring."""
+    """Adds a free bottle of 0.36 kg (body, neck, head), and a trigger on a hinge with a spring."""
     body = spec.worldbody.add_body(name="bottle")
     body.add_freejoint(name="bottle")
     shape = mujoco.mjtGeom.mjGEOM_CYLINDER if bottle.round else mujoco.mjtGeom.mjGEOM_BOX

@@ -1,9 +1,8 @@
 """Perturbed starts of the MyoDex suite: one distribution per kind of task, drawn by the episode's seed.
 
-MyoSuite's Fixed tasks always reset to one state, so that a deterministic policy repeats one episode
-whatever the seed. Here the hand, the object and the goal are drawn anew for every seed; the same
-distribution serves experts, critics, demonstrations and evaluation. Where MyoSuite itself draws the
-goal (its Random tasks) that draw stays, and only hand and object are perturbed.
+MyoSuite's Fixed tasks always reset to one state, so that a deterministic policy repeats one episode for all seeds. The
+perturbation draws hand, object and goal for every seed. Experts, critics, demonstrations and evaluation use the same
+distribution. In MyoSuite's Random tasks the suite draws the goal, and only hand and object are perturbed.
 """
 
 import numpy as np
@@ -12,10 +11,10 @@ from acgd.tasks.myo_kind import MyoKind
 
 
 def perturb(kind: MyoKind, base, hand_qpos: np.ndarray, rng: np.random.Generator, *, goal: bool) -> None:
-    """Move the start of `base` (a MyoSuite environment that has just been reset).
+    """Perturbs the start of `base`, a MyoSuite environment after its reset.
 
-    `hand_qpos` (23,) are the addresses of the hand's joints in qpos. `goal` is False where the suite
-    has drawn the goal itself. The caller runs the forward kinematics afterwards.
+    hand_qpos: (23,) addresses of the hand's joints in qpos. goal: whether the goal is perturbed. The caller runs the
+    forward kinematics afterwards.
     """
     _hand(base, hand_qpos, kind.hand_std, rng)
     kind.perturb(base, rng, goal)

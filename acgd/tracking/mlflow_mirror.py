@@ -1,8 +1,8 @@
-"""A mirror of the artifacts in MLflow, for looking at curves side by side: `mlflow ui`.
+"""A mirror of the artifacts in MLflow, for comparing curves with `mlflow ui`.
 
-Never the source of truth and never able to fail a job: everything here is read from published artifacts, and whatever
-goes wrong with the database becomes one warning that names the mend. One process mirrors all artifacts of a study, since
-importing mlflow costs seconds; it holds a lock, so that two workflows do not create one database at once.
+The mirror reads published artifacts, which remain the source of truth. An error of the database becomes one warning
+that names the mend, so the mirror never fails a job. One process mirrors all artifacts of a study, since importing
+mlflow takes seconds. The process holds a lock, so that two workflows do not create one database at the same time.
 """
 
 import json
@@ -28,20 +28,20 @@ logger = logging.getLogger(__name__)
 
 SYNC_COMMAND = "python -m acgd mlflow-sync"
 LOCK_WAIT_S = 60.0
-"""How long to wait for another mirror, and then for whoever else writes to the database."""
+"""Longest wait for another mirror, and then for another program that writes to the database."""
 METRICS_A_CALL, PARAMS_A_CALL, LONGEST_VALUE = 1000, 100, 5000
-"""MLflow's limits; a longer parameter or tag is cut."""
+"""Limits of MLflow: metrics and parameters per call, characters of a parameter or tag. Longer values are cut."""
 FIGURES = (".svg", ".png")
 
 
 @dataclass(frozen=True)
 class Mirrored:
-    """A published artifact and the names that the study gives it, e.g. ("acgd/seed-0/student",); several share one."""
+    """A published artifact and its names in the study, e.g. ("acgd/seed-0/student",)."""
 
     path: Path
     names: tuple[str, ...] = ()
     results: tuple[str, ...] = ()
-    """JSON files of its payload whose numbers are worth a column; in the others stand settings, which are parameters."""
+    """JSON files of the payload whose numbers become metrics."""
 
 
 def database_uri(results: Path) -> str:
@@ -49,9 +49,9 @@ def database_uri(results: Path) -> str:
 
 
 def sync(results: Path, study: str, artifacts: Sequence[Mirrored], lock_wait_s: float = LOCK_WAIT_S) -> int | None:
-    """Brings the study's experiment up to date with its artifacts: returns the number of runs written, None on a warning.
+    """Writes a run for each artifact that the study's experiment lacks.
 
-    Runs that are there already stay; a deleted database is built again from the artifacts.
+    Returns the number of new runs, or None after a warning. A deleted database is built again from the artifacts.
     """
     results = Path(results)
     database = results / "mlflow.db"
@@ -68,11 +68,11 @@ def sync(results: Path, study: str, artifacts: Sequence[Mirrored], lock_wait_s: 
             )
     except Timeout:
         logger.warning(
-            "MLflow was not updated: another process has been mirroring for %.0f s. Once it has ended: %s",
+            "MLflow was not updated: another process has been mirroring for %.0f s. When it has ended, type: %s",
             lock_wait_s,
             SYNC_COMMAND,
         )
-    except Exception as error:  # the boundary: a mirror must never fail the job that asked for it
+    except Exception as error:  # a mirror must never fail the job that called it
         logger.warning(
             "MLflow was not updated (%s: %s). %s", type(error).__name__, _first_line(error), _mend(error, database)
         )
@@ -89,7 +89,7 @@ class _Mirror:
         self.runs = self._runs_by_key()
 
     def write(self, artifact: Mirrored, manifest: dict[str, Any]) -> bool:
-        """Mirrors one artifact, unless a finished run of its key is there; False if so."""
+        """Mirrors one artifact. Returns False if the experiment has a finished run of the artifact's key."""
         tags = _tags(self.study, manifest, artifact.names)
         for run in self.runs.get(manifest["key"], []):
             if run.info.status == "FINISHED":
@@ -97,9 +97,9 @@ class _Mirror:
                 return False
             self.client.set_terminated(run.info.run_id, "KILLED")
             self.client.delete_run(run.info.run_id)
-        began, ended = _times(artifact.path)
+        started, ended = _times(artifact.path)
         run = self.client.create_run(
-            self.experiment.experiment_id, start_time=began, tags=tags, run_name=_run_name(manifest, artifact.names)
+            self.experiment.experiment_id, start_time=started, tags=tags, run_name=_run_name(manifest, artifact.names)
         )
         run_id = run.info.run_id
         params = [_param(name, value) for name, value in _flatten(manifest["request"])]
@@ -114,12 +114,13 @@ class _Mirror:
         return True
 
     def _retag(self, run: "Run", tags: dict[str, str]) -> None:
-        """A variant added later may share an old artifact."""
+        """Updates the tags of a run: a new variant may share an old artifact."""
         for name, value in tags.items():
             if run.data.tags.get(name) != value:
                 self.client.set_tag(run.info.run_id, name, value)
 
     def _open_experiment(self, root: Path) -> "Experiment":
+        """The study's experiment, made or restored if needed. Raises RuntimeError where results/ has been moved."""
         location = (root / self.study).as_uri()
         experiment = self.client.get_experiment_by_name(self.study)
         if experiment is None:
@@ -131,6 +132,7 @@ class _Mirror:
         return experiment
 
     def _runs_by_key(self) -> dict[str, list["Run"]]:
+        """Artifact key -> runs."""
         runs: dict[str, list[Run]] = {}
         page = None
         while page is None or page.token:
@@ -143,8 +145,10 @@ class _Mirror:
 
 
 def _client(results: Path) -> "MlflowClient":
-    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # mlflow reads it when imported, and calls home otherwise
-    logging.getLogger("alembic").setLevel(logging.WARNING)  # a page of migrations for each new database
+    os.environ.setdefault(
+        "MLFLOW_DISABLE_TELEMETRY", "true"
+    )  # mlflow reads it at import; by default it sends telemetry
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # alembic logs every migration of a new database
     from mlflow import MlflowClient
 
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -152,7 +156,7 @@ def _client(results: Path) -> "MlflowClient":
 
 
 def _refuse_unusable(database: Path, wait_s: float) -> None:
-    """mlflow itself tries a locked or damaged database for minutes: ask sqlite first."""
+    """Raises sqlite3.Error of a locked or damaged database. mlflow would retry for minutes."""
     if not database.exists():
         return
     connection = sqlite3.connect(database, timeout=wait_s)
@@ -165,11 +169,12 @@ def _refuse_unusable(database: Path, wait_s: float) -> None:
 
 
 def _mend(error: Exception, database: Path) -> str:
+    """The mend of an error, for the warning."""
     if "locked" in str(error):
-        return f"Close the program that holds {database} (mlflow ui?), then: {SYNC_COMMAND}"
+        return f"Close the program that uses {database} (mlflow ui?), then type: {SYNC_COMMAND}"
     if "disk is full" in str(error) or getattr(error, "errno", None) == 28:
-        return f"Make room on the disk, then: {SYNC_COMMAND}"
-    return f"Nothing is lost, it only mirrors the artifacts. Build it again: rm {database}; {SYNC_COMMAND}"
+        return f"Make room on the disk, then type: {SYNC_COMMAND}"
+    return f"No result is lost: MLflow mirrors the artifacts. Build the database again: rm {database}; {SYNC_COMMAND}"
 
 
 def _first_line(error: Exception) -> str:
@@ -177,12 +182,12 @@ def _first_line(error: Exception) -> str:
 
 
 def _run_name(manifest: dict[str, Any], names: Sequence[str]) -> str:
-    """A student is known by its variant; what several variants share, by its stage and the artifact's own name."""
+    """The artifact's name in the study if it has one name, else its stage and its name in the store."""
     return names[0] if len(names) == 1 else f"{manifest['stage']} {manifest['name']}"
 
 
 def _tags(study: str, manifest: dict[str, Any], names: Sequence[str]) -> dict[str, str]:
-    """What to filter by: `tags.stage = "student"`, `tags.variants LIKE "%acgd%"`, `tags."upstream.codebook" = "<key>"`."""
+    """Tags for filters: `tags.stage = "student"`, `tags.variants LIKE "%acgd%"`, `tags."upstream.critic" = "<key>"`."""
     tags = {"study": study, "key": manifest["key"], "stage": manifest["stage"], "name": manifest["name"]}
     if names:
         tags["variants"] = ", ".join(dict.fromkeys(name.split("/")[0] for name in names))
@@ -193,33 +198,33 @@ def _tags(study: str, manifest: dict[str, Any], names: Sequence[str]) -> dict[st
 
 
 def _times(path: Path) -> tuple[int | None, int | None]:
-    """Begin and end in milliseconds, from run.json's `started` (s since 1970) and `wall_s`, so that MLflow shows durations."""
+    """Start and end in ms since 1970, from `started` and `wall_s` (s) of run.json; None where it lacks them."""
     try:
         run = json.loads((path / "run.json").read_text(encoding="utf-8"))
-        began = int(1000 * run["started"])
-        return began, began + int(1000 * run["wall_s"])
+        started = int(1000 * run["started"])
+        return started, started + int(1000 * run["wall_s"])
     except (OSError, KeyError, ValueError, TypeError):
         return None, None
 
 
 def _metrics(artifact: Mirrored, ended_ms: int | None) -> Iterator["Metric"]:
-    """Every curve, then each number among the results as one point, e.g. quality.within_state.mean."""
+    """The points of every curve, then each number of the results as one point, e.g. quality.within_state.mean."""
     from mlflow.entities import Metric
 
-    stamp = ended_ms or 0
+    timestamp = ended_ms or 0
     for row in read(artifact.path / "metrics.jsonl"):
         step = row.pop("step")
         for name, value in row.items():
-            yield Metric(_allowed(name), value, stamp, step)
+            yield Metric(_allowed(name), value, timestamp, step)
     for file in (artifact.path / name for name in artifact.results):
         if not file.exists():
             continue
         for name, value in _numbers(json.loads(file.read_text(encoding="utf-8")), file.stem):
-            yield Metric(_allowed(name), value, stamp, 0)
+            yield Metric(_allowed(name), value, timestamp, 0)
 
 
 def _numbers(value: object, name: str) -> Iterator[tuple[str, float]]:
-    """The numbers in nested maps; lists are tables, which MLflow cannot show."""
+    """(dotted name, value) of the finite numbers in nested maps. Lists are left out: MLflow cannot show tables."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _numbers(item, f"{name}.{key}")
@@ -235,7 +240,10 @@ def _param(name: str, value: object) -> Any:
 
 
 def _flatten(value: object, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """{"student": {"lr": 1e-3}} -> ("student.lr", 1e-3). Lists of maps, such as the tasks, are numbered; others stay whole."""
+    """(dotted name, value) of nested settings: {"student": {"lr": 1e-3}} -> ("student.lr", 1e-3).
+
+    The items of a list of maps, such as the tasks, are numbered. Any other list is one value.
+    """
     if isinstance(value, dict):
         named = value.items()
     elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
@@ -248,7 +256,7 @@ def _flatten(value: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _allowed(name: str) -> str:
-    """MLflow refuses other characters in the names of metrics and parameters."""
+    """`name` without the characters that MLflow refuses in names of metrics and parameters."""
     return re.sub(r"[^\w.\- /:]", "_", name)[:250]
 
 

@@ -1,4 +1,4 @@
-"""The stage `features`: a frozen backbone applied once to every frame of one task's rollouts."""
+"""The stage `features`: applies a frozen backbone once to every frame of one task's rollouts."""
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from acgd.vision.settings import FeaturesConfig, FeaturesRequest
 
 
 def encode(request: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
-    """Write features.zarr: `image` (T, F) and `final_image` (E, F), float32."""
+    """Writes features.zarr: `image` (T, F) and `final_image` (E, F), float32."""
     backbone = load(inputs["backbone"], ctx.device)
     demos = Demonstrations.load(inputs["rollouts"], ["image", "final_image"])
     total = sum(len(frames) for frames in demos.arrays.values())
@@ -30,5 +30,6 @@ def encode(request: FeaturesRequest, inputs: Inputs, ctx: Context) -> None:
 
 @torch.inference_mode()
 def _encode(backbone: Backbone, images: Tensor, settings: FeaturesConfig) -> Tensor:
+    """images (B, H, W, 3) uint8 -> (B, F) float32."""
     with torch.autocast(images.device.type, torch.bfloat16, enabled=in_bfloat16(settings.precision, images.device)):
         return backbone(images).float()

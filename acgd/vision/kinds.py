@@ -1,4 +1,4 @@
-"""All kinds of backbone: one line and one folder each. The code is a class like `Backbone` in backbones.py."""
+"""The registry of backbones: one line and one folder per kind. The code is a class like `Backbone` in backbones.py."""
 
 from acgd.settings import Kind
 

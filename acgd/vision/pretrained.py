@@ -1,4 +1,4 @@
-"""How a pretrained network wants its images: resized, and normalised with the statistics it was trained with."""
+"""Input images of a pretrained network: resized, and normalised with the statistics of its training data."""
 
 import torch
 from torch import Tensor, nn

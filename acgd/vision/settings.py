@@ -1,4 +1,4 @@
-"""Backbones, and the features that a frozen one gives."""
+"""Settings and requests of the stages `backbone` and `features`."""
 
 from typing import Literal
 
@@ -9,39 +9,40 @@ from acgd.vision.kinds import BACKBONES
 from acgd.vision.privileged.settings import PrivilegedConfig
 
 BackboneConfig = one_of(BACKBONES, default="privileged")
-"""Settings of one kind. `needs`: optional stages that it reads. `gives_features`: whether it encodes frames."""
+"""Settings of one kind. needs: optional stages that the kind reads. gives_features: whether it encodes frames."""
 
 
 class BackboneRequest(Request):
-    """What the stage `backbone` depends on besides its inputs."""
+    """Request of the stage `backbone`."""
 
     backbone: BackboneConfig = Field(PrivilegedConfig(), description="Stage `backbone`, one artifact.")
 
     def uses(self, stage: str) -> bool:
-        """Rollouts, where the backbone is trained on them."""
+        """True for rollouts if the backbone is trained on them."""
         return stage in self.backbone.needs
 
     def artifact_name(self, default: str) -> str:
-        """The kind."""
+        """The kind of the backbone."""
         return self.backbone.kind
 
 
 class FeaturesConfig(Section):
-    """The pass of a frozen backbone over every frame."""
+    """Encoding of frames by a frozen backbone."""
 
     precision: Literal["float32", "bfloat16"] = Field(
         "float32",
-        description="Arithmetic of the backbone; bfloat16 is float32 where the hardware lacks it. Stored as float32.",
+        description="Arithmetic of the backbone. bfloat16 falls back to float32 on hardware without it. Features are "
+        "stored as float32.",
     )
-    batch: int = Field(256, ge=1, description="Frames in one pass.")
+    batch: int = Field(256, ge=1, description="Frames in a batch.")
 
 
 class FeaturesRequest(Request):
-    """What the stage `features` depends on besides its inputs."""
+    """Request of the stage `features`."""
 
     features: FeaturesConfig = Field(FeaturesConfig(), description="Stage `features`, one artifact per task.")
     backbone: BackboneConfig = PrivilegedConfig()
 
     def exists(self) -> bool:
-        """Whether the backbone is frozen, so that it encodes frames."""
+        """True if the backbone is frozen and encodes frames."""
         return self.backbone.gives_features

@@ -1,4 +1,4 @@
-"""The stage `backbone`: trained, or converted once from a file of pretrained weights."""
+"""The stage `backbone`: trains a backbone, or converts a file of pretrained weights."""
 
 from acgd.settings import imported
 from acgd.store.stage import Context, Inputs
@@ -7,5 +7,5 @@ from acgd.vision.settings import BackboneRequest
 
 
 def train(request: BackboneRequest, inputs: Inputs, ctx: Context) -> None:
-    """Write backbone.json and, unless the kind is `scratch`, the weights."""
+    """Writes backbone.json and, unless the kind is `scratch`, the weights."""
     imported(BACKBONES[request.backbone.kind].code).make(request.backbone, inputs, ctx)

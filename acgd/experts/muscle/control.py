@@ -1,17 +1,6 @@
-"""A teacher from the equations of motion: muscle activations that move a hand towards its goal.
+"""Muscle controller: activations that move a hand towards its goal, from the simulator's equations of motion.
 
-The suite's fingers are light and strongly damped, so a joint's velocity follows its torque at once:
-
-    C dq/dt = A(q) a + b(q)
-
-with the joints' damping C (V, V), the muscles' moment arms times active forces A (V, M), and b (V,) of gravity
-and passive forces. For the error e of a task (a pose's joint angles, a reach's fingertips) with Jacobian J
-the activations a >= 0 are the least-squares solution of
-
-    J dq/dt = rate e,   damping dq/dt = 0,   effort a = 0:
-
-resolved-rate control (Whitney 1969) with damped least squares, through muscles. No learning; it needs the simulator's
-model.
+Resolved-rate control (Whitney 1969) by damped least squares. Derivation: docs/method.md, "Muscle controller".
 """
 
 import mujoco
@@ -24,13 +13,13 @@ from acgd.nn.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
 
 TIP_UNIT = 0.05
-"""Metres of a fingertip's error that weigh like one radian of a joint's."""
+"""Fingertip error in metres that weighs as much as a joint error of one radian."""
 
 
 class MuscleControl:
-    """The teacher in one environment of a pose or reach task; ValueError for other kinds.
+    """The controller of one environment of a pose or reach task. ValueError for other kinds of tasks.
 
-    On a pose task it takes `detour`, or the known one, if any.
+    detour: replaces the detour in DETOURS on a pose task.
     """
 
     def __init__(self, env: MyoDexTask, settings: ControllerSettings, detour: Detour | None = None) -> None:
@@ -44,12 +33,12 @@ class MuscleControl:
         self._moment = np.zeros((env.model.nu, env.model.nv))
 
     def action(self) -> np.ndarray:
-        """Action (A,) in [-1, 1] for the environment's present state; the simulation does not move."""
-        excitation = np.clip(self._activation(), LOWEST, HIGHEST)  # activations follow within 10 to 60 ms
+        """Action (A,) in [-1, 1] for the current state of the environment. The simulation does not advance."""
+        excitation = np.clip(self._activation(), LOWEST, HIGHEST)  # activations follow excitations within 10 to 60 ms
         return (np.log(excitation / (1 - excitation)) / 5 + 0.5).astype(np.float32)
 
     def _activation(self) -> np.ndarray:
-        """Wanted activations (M,) in [0, 1]."""
+        """Activations (M,) in [0, 1] by non-negative least squares."""
         model, data, joints = self._env.model, self._env.data, self._env.hand_qvel
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
@@ -59,17 +48,21 @@ class MuscleControl:
         active, passive = _forces(model, data)
         damping, arms = model.dof_damping[joints], self._moment[:, joints]
         by_activation = (arms * active[:, None]).T / damping[:, None]
-        others = arms.T @ passive + data.qfrc_passive[joints] + damping * data.qvel[joints] - data.qfrc_bias[joints]
-        drift = others / damping
+        other_torques = (
+            arms.T @ passive + data.qfrc_passive[joints] + damping * data.qvel[joints] - data.qfrc_bias[joints]
+        )
+        drift = other_torques / damping
         error, jacobian = self._error(self._env, self._detour)
-        still, effort = self._settings.damping, self._settings.effort
-        left = np.vstack([jacobian @ by_activation, still * by_activation, effort * np.eye(model.nu)])
-        right = np.concatenate([self._settings.rate * error - jacobian @ drift, -still * drift, np.zeros(model.nu)])
-        return np.minimum(nnls(left, right, maxiter=10 * model.nu)[0], 1.0)
+        damping_weight, effort = self._settings.damping, self._settings.effort
+        matrix = np.vstack([jacobian @ by_activation, damping_weight * by_activation, effort * np.eye(model.nu)])
+        target = np.concatenate(
+            [self._settings.rate * error - jacobian @ drift, -damping_weight * drift, np.zeros(model.nu)]
+        )
+        return np.minimum(nnls(matrix, target, maxiter=10 * model.nu)[0], 1.0)
 
 
 def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Muscle forces (M,) that full activation adds, and (M,) without any."""
+    """Muscle forces in N: (M,) added by full activation, and (M,) at zero activation."""
     active, passive = np.empty(model.nu), np.empty(model.nu)
     for i, (length, velocity) in enumerate(zip(data.actuator_length, data.actuator_velocity)):
         span, strength = model.actuator_lengthrange[i], model.actuator_acc0[i]
@@ -79,7 +72,7 @@ def _forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.
 
 
 def _pose_error(env: MyoDexTask, detour: Detour | None) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles that are missing (23,), rad, within the joints' ranges, and their Jacobian."""
+    """Joint errors (23,) in rad, within the joints' ranges, and their Jacobian (23, 23)."""
     low, high = env.model.jnt_range.T
     error = (np.clip(env.base.target_jnt_value, low, high) - env.data.qpos)[env.hand_qpos]
     if detour and env.steps < detour.steps:

@@ -1,9 +1,9 @@
-"""Searches the detour of a pose task (detours.py) by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
+"""Search of a pose task's detour by CMA-ES (Hansen and Ostermeier 2001), on training seeds:
 
     python -m acgd.experts.muscle.detour_search myo/pose-hard
 
-A line a generation; the last one's detour and `rate` are what to write into detours.py and the recipe. An hour on one
-core.
+Prints one line per generation. The last line's detour belongs into detours.py, its `rate` into the expert's settings. A
+search takes an hour on one core. Score: docs/method.md, "Detours of pose tasks".
 """
 
 import argparse
@@ -21,48 +21,52 @@ from acgd.tasks import registry
 from acgd.tasks.myodex import MyoDexTask
 from acgd.tasks.settings import TaskConfig
 
-FIRST = {"posture": 0.0, "share": 1.3, "steps": 20.0, "gain": 3.0, "rate": 2.5}
-"""Where the search begins: everything bent a third further than the goal asks."""
+INITIAL = {"posture": 0.0, "share": 1.3, "steps": 20.0, "gain": 3.0, "rate": 2.5}
+"""Start of the search: all joints bent 30% further than the goal."""
 SPREAD = 0.3
-"""Of the first generation: rad; tens of steps; of the logarithms of gain and rate."""
+"""Standard deviation of the first generation, in rad, tens of steps, and logarithms of gain and rate."""
 SOLVED, SOFT, FAR = 0.7, 0.1, 2.0
-"""Rad: the suite's threshold for the norm of all joints' errors, how softly it counts, and beyond what an error is no
-worse."""
+"""In rad: the suite's threshold of the norm of all joints' errors, the width of its soft count, and the largest error
+that the score distinguishes."""
 
 
 @dataclass(frozen=True)
 class Generation:
-    """The centre of a generation's distribution."""
+    """The mean of a generation's distribution."""
 
     number: int
     detour: Detour
     rate: float
     score: float
-    """Of the generation's candidates, the mean; less is better."""
+    """Mean score of the generation's candidates; less is better."""
 
 
 def search(
     task: str, settings: ControllerSettings, *, population: int = 16, episodes: int = 8, seed: int = 0
 ) -> Iterator[Generation]:
-    """Generations of detours for a pose task, without end; `settings` but `rate` are the teacher's. Same seed, same
-    detours."""
+    """Yields generations of detours for a pose task, without end. The search is a function of `seed`.
+
+    settings: those of the controller; the search replaces `rate`. ValueError for other kinds of tasks.
+    """
     env = registry.make(TaskConfig(name=task), image_size=None)
     if env.task.kind != "pose":
         raise ValueError(f"{task} has no detour, only pose tasks have: choose one of them")
-    evolution = cma.CMAEvolutionStrategy(_vector(), SPREAD, {"seed": seed + 1, "popsize": population, "verbose": -9})
+    evolution = cma.CMAEvolutionStrategy(
+        _initial_vector(), SPREAD, {"seed": seed + 1, "popsize": population, "verbose": -9}
+    )
     rng, generation = np.random.default_rng(seed), 0
     while True:
         seeds = rng.integers(SEEDS.expert_training.start, SEEDS.expert_training.stop, episodes).tolist()
         candidates = evolution.ask()
-        scores = [score(env, *_teacher(vector, settings), seeds) for vector in candidates]
+        scores = [score(env, *_decode(vector, settings), seeds) for vector in candidates]
         evolution.tell(candidates, scores)
         generation += 1
-        detour, middle = _teacher(evolution.mean, settings)
-        yield Generation(generation, detour, middle.rate, float(np.mean(scores)))
+        detour, mean_settings = _decode(evolution.mean, settings)
+        yield Generation(generation, detour, mean_settings.rate, float(np.mean(scores)))
 
 
 def score(env: MyoDexTask, detour: Detour, settings: ControllerSettings, seeds: list[int]) -> float:
-    """Distance to the goal at the end, rad, plus 1 beyond SOLVED; the mean over `seeds`. Less is better."""
+    """Mean over `seeds` of the final distance to the goal in rad, plus a soft 1 above SOLVED. Less is better."""
     teacher, errors = MuscleControl(env, settings, detour), []
     for seed in seeds:
         env.reset(seed=seed)
@@ -75,41 +79,49 @@ def score(env: MyoDexTask, detour: Detour, settings: ControllerSettings, seeds: 
     return float(np.mean(np.minimum(errors, FAR) + 1 / (1 + np.exp((SOLVED - errors) / SOFT))))
 
 
-def _vector() -> np.ndarray:
-    """FIRST as the search sees it: (P,) of about one size."""
+def _initial_vector() -> np.ndarray:
+    """INITIAL as a vector (P,) of parameters of similar scale."""
     joints = np.ones(len(CLENCHED))
     return np.concatenate(
         [
-            FIRST["posture"] * joints,
-            FIRST["share"] * joints,
-            [FIRST["steps"] / 10],
-            np.log([FIRST["gain"], FIRST["rate"]]),
+            INITIAL["posture"] * joints,
+            INITIAL["share"] * joints,
+            [INITIAL["steps"] / 10],
+            np.log([INITIAL["gain"], INITIAL["rate"]]),
         ]
     )
 
 
-def _teacher(vector: np.ndarray, settings: ControllerSettings) -> tuple[Detour, ControllerSettings]:
-    """The inverse: a detour, and the teacher's settings with its rate."""
+def _decode(vector: np.ndarray, settings: ControllerSettings) -> tuple[Detour, ControllerSettings]:
+    """Parameters (P,) -> a detour, and the controller's settings with the searched rate."""
     posture, share, (steps, gain, rate) = np.split(vector, [len(CLENCHED), 2 * len(CLENCHED)])
     detour = Detour(steps=max(0, round(10 * steps)), gain=float(np.exp(gain)), posture=posture, share=share)
     return detour, settings.model_copy(update={"rate": float(np.exp(rate))})
 
 
 def main() -> None:
-    """Print every generation until the last, or until it is interrupted."""
+    """Prints each generation."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", help="a pose task, such as myo/pose-hard")
     parser.add_argument("--generations", type=int, default=100)
     parser.add_argument(
-        "--damping", type=float, default=0.3, help="of the teacher, as in the expert's settings of kind muscle"
+        "--damping",
+        type=float,
+        default=0.3,
+        help="damping of the controller, as in the expert's settings of kind muscle",
     )
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    for centre in search(args.task, ControllerSettings(damping=args.damping), seed=args.seed):
-        posture, share = (np.round(angles, 2).tolist() for angles in (centre.detour.posture, centre.detour.share))
-        print(f"{centre.number}: score {centre.score:.3f}, rate {centre.rate:.2f}, steps {centre.detour.steps}, "
-              f"gain {centre.detour.gain:.2f}, posture {posture}, share {share}", flush=True)  # fmt: skip
-        if centre.number >= args.generations:
+    for generation in search(args.task, ControllerSettings(damping=args.damping), seed=args.seed):
+        posture, share = (
+            np.round(angles, 2).tolist() for angles in (generation.detour.posture, generation.detour.share)
+        )
+        print(
+            f"{generation.number}: score {generation.score:.3f}, rate {generation.rate:.2f}, "
+            f"steps {generation.detour.steps}, gain {generation.detour.gain:.2f}, posture {posture}, share {share}",
+            flush=True,
+        )
+        if generation.number >= args.generations:
             return
 
 

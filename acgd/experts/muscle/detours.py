@@ -1,10 +1,6 @@
-"""Detours of pose tasks: postures that muscle control strives for on its way, found by CMA-ES on training seeds
-(detour_search.py).
+"""Detours of pose tasks: postures that the muscle controller approaches before the goal.
 
-Muscles cannot bend a finger's last joint for itself, nor the thumb's three joints: from an open hand the straight way
-to a pose ends beside it, at 0.9 rad where 0.7 count. Started at the pose, the same controller stays within 0.3 rad.
-What leads there is a detour: joint limits take the fingers past what muscles cannot. Angles beyond a joint's range say
-how hard it pushes against its limit.
+detour_search.py finds them. Reasons: docs/method.md, "Detours of pose tasks".
 """
 
 from dataclasses import dataclass
@@ -14,23 +10,23 @@ import numpy as np
 from acgd.tasks.myodex import HAND_JOINTS
 
 WRIST = 3
-"""Joints before the first finger's in HAND_JOINTS: the wrist's."""
+"""Number of wrist joints, which come first in HAND_JOINTS."""
 CLENCHED = [i for i, name in enumerate(HAND_JOINTS) if i == WRIST or (i > WRIST and "abduction" not in name)]
-"""Joints that a detour moves: the thumb's four, and flexions of the other fingers (mcp, pm, md of each)."""
+"""Indices of the 16 joints that a detour moves: four of the thumb, and the flexions mcp, pm, md of each finger."""
 
 
 @dataclass(frozen=True)
 class Detour:
-    """What a pose episode starts with."""
+    """Target of the controller in the first steps of an episode: posture + share * goal angles."""
 
     steps: int
-    """Control steps."""
+    """Length in control steps."""
     gain: float
-    """Of the rate, beside that of the rest of the episode."""
+    """Factor on the controller's rate during the detour."""
     posture: np.ndarray
     """Angles (16,) of CLENCHED, rad."""
     share: np.ndarray
-    """Of the goal's angles (16,), added to `posture`."""
+    """Share (16,) of the goal's angles that is added to `posture`."""
 
 
 DETOURS = {

@@ -1,4 +1,4 @@
-"""Settings of the muscle controller, and of a policy that learns to imitate it."""
+"""Settings of the muscle controller and of its imitation."""
 
 from collections.abc import Iterator
 from typing import ClassVar, Literal
@@ -10,23 +10,27 @@ from acgd.settings import Section
 from acgd.tasks.spec import TASKS
 
 CONTROLLED_KINDS = ("pose", "reach")
-"""Kinds of tasks with a muscle controller: acgd/experts/muscle/control.py defines them, and a test compares the two."""
+"""Kinds of tasks with a muscle controller. A test compares this list with acgd/experts/muscle/control.py."""
 
 
 class ControllerSettings(Section):
-    """The muscle controller, which acts by the equations of motion."""
+    """The muscle controller: docs/method.md, "Muscle controller"."""
 
-    rate: float = Field(default=8.0, gt=0, description="Share of the error that the controller would undo in a second.")
-    damping: float = Field(default=1.5, ge=0, description="Weight of the joints' velocity beside the error's.")
-    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations.")
+    rate: float = Field(default=8.0, gt=0, description="Share of the error that the controller corrects per second.")
+    damping: float = Field(
+        default=1.5, ge=0, description="Weight of joint velocities in least squares; the error has weight 1."
+    )
+    effort: float = Field(default=1.0, gt=0, description="Weight of muscle activations in least squares.")
 
 
 class ImitationSettings(ControllerSettings):
-    """Imitation of the muscle controller by dataset aggregation."""
+    """Imitation of the muscle controller by dataset aggregation (DAgger)."""
 
-    steps: int = Field(default=200_000, ge=1, description="Environment steps with the controller's action, in all.")
+    steps: int = Field(default=200_000, ge=1, description="Environment steps that the controller labels, in total.")
     rounds: int = Field(
-        default=20, ge=1, description="Parts of equal size; the policy is fitted to all of them after each."
+        default=20,
+        ge=1,
+        description="Rounds of equal size. After each round the policy is fitted to all rounds so far.",
     )
     epochs: int = Field(default=6, ge=1, description="Passes over all rounds so far after each round.")
     batch: int = Field(default=256, ge=2, description="Minibatch size.")
@@ -39,11 +43,11 @@ class ImitationSettings(ControllerSettings):
 
 
 class MuscleSettings(ImitationSettings, LearnerSettings):
-    """Imitation of the muscle controller; pose and reach tasks only."""
+    """Imitation of the muscle controller, for pose and reach tasks."""
 
     algorithm: ClassVar[str] = "DAgger"
     advanced_starts: ClassVar[float] = 0.0
-    """Episodes start where those of the task start."""
+    """Share of episodes with advanced starts: none."""
 
     kind: Literal["muscle"] = "muscle"
 
@@ -57,11 +61,11 @@ class MuscleSettings(ImitationSettings, LearnerSettings):
         return self
 
     def faults(self, task: str) -> Iterator[str]:
-        """A task without a muscle controller."""
+        """A message where the task has no muscle controller."""
         yield from without_controller(task, "expert.kind", "Choose ppo or sac")
 
 
 def without_controller(task: str, place: str, mend: str) -> Iterator[str]:
-    """The fault of a task that has no muscle controller; nothing where it has one."""
+    """A message where the task has no muscle controller; `place` names the setting, `mend` the remedy."""
     if TASKS[task].kind not in CONTROLLED_KINDS:
         yield f"{place}: {task} has no muscle controller, only {' and '.join(CONTROLLED_KINDS)} tasks have. {mend}."

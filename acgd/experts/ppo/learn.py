@@ -1,8 +1,7 @@
-"""PPO on the privileged state, with stable-baselines3: one task, one core, checkpoints and a curve.
+"""PPO on the privileged state, with stable-baselines3: one task, one core, checkpoints and a learning curve.
 
-The run is cut into segments of one rollout. After each, everything that the next depends on is a
-safetensors file and a JSON file, so that a killed run goes on. Environments restart their episodes
-then, with seeds that depend on the step alone: uninterrupted runs restart them at the same places.
+The run consists of segments of one rollout. A checkpoint holds everything that the next segment depends on. Each
+segment restarts all episodes with seeds that depend on the step alone, in resumed and in uninterrupted runs.
 """
 
 from pathlib import Path
@@ -14,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from acgd.experts import zoo
 from acgd.experts.curve import Curve
-from acgd.experts.policy import KNOWN_STATES, STATE_CLIP, Expert
+from acgd.experts.policy import STATE_CLIP, WARM_START_STATES, Expert
 from acgd.experts.ppo.settings import PPOSettings
 from acgd.experts.settings import ExpertRequest
 from acgd.experts.training_env import StateOnly
@@ -25,12 +24,10 @@ from acgd.store.metrics import Metrics
 def train_ppo(
     request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
 ) -> tuple[Path, list[dict]]:
-    """Train, or go on from the checkpoint in `state`. Returns the folder of the best expert, and the learning curve.
+    """Trains, or resumes from the checkpoint in `state`. Returns the folder of the best expert, and the learning curve.
 
-    The networks of PPO, which take a tenth of its time, stay on the processor. `device` is where a policy is first
-    fitted to the muscle controller, with warm_start muscle.
-
-    The best is chosen by (final success, return) on validation seeds, never on the card's.
+    The networks of PPO take a tenth of the time and stay on the CPU. `device` is that of the imitation of the muscle
+    controller, with warm_start: muscle. The best expert is chosen by (final success, return) on validation seeds.
     """
     ppo: PPOSettings = request.expert
     envs = [StateOnly(request, i) for i in range(ppo.envs)]
@@ -44,53 +41,53 @@ def train_ppo(
     )  # fmt: skip
     points = _load(state, model, venv)
     if ppo.warm_start and not model.num_timesteps:
-        _start_from(_first_expert(request, state, progress, device), ppo.warm_start, model, venv)
+        _start_from(_initial_expert(request, state, progress, device), ppo.warm_start, model, venv)
     curve = Curve(request, state, metrics, points)
     metrics.rewind(model.num_timesteps)
     meta = {"task": request.task.name, "gamma": ppo.gamma, "reward_weights": ppo.reward_weights, "algorithm": ppo.kind}
     segment = ppo.envs * ppo.rollout_steps
-    due = ppo.checkpoint_every
+    steps_to_checkpoint = ppo.checkpoint_every
     with progress(ppo.steps, f"expert {request.task.name}", done=model.num_timesteps) as bar:
         while model.num_timesteps < ppo.steps:
-            before = model.num_timesteps
+            first_step = model.num_timesteps
             for i, env in enumerate(envs):
-                env.reseed([ppo.seed, before, i])
-            torch.manual_seed(ppo.seed * 1_000_003 + before)
-            np.random.seed((ppo.seed * 1_000_003 + before) % 2**32)
-            model._last_obs = None  # restart the episodes, as a resumed run has to
-            rate.step = before
-            _freeze_policy(model, bool(ppo.warm_start) and before < VALUE_FIRST)
+                env.reseed([ppo.seed, first_step, i])
+            torch.manual_seed(ppo.seed * 1_000_003 + first_step)
+            np.random.seed((ppo.seed * 1_000_003 + first_step) % 2**32)
+            model._last_obs = None  # restarts the episodes, as a resumed run must
+            rate.step = first_step
+            _freeze_policy(model, bool(ppo.warm_start) and first_step < VALUE_ONLY_STEPS)
             model.learn(segment, reset_num_timesteps=False)
-            now = model.num_timesteps
-            if now // ppo.evaluate_every > before // ppo.evaluate_every or now >= ppo.steps:
+            last_step = model.num_timesteps
+            if last_step // ppo.evaluate_every > first_step // ppo.evaluate_every or last_step >= ppo.steps:
                 std = float(model.policy.log_std.detach().exp().mean())
-                row = curve.add(export(model, venv, meta), now, std=std)
-                bar.update(now - before, final=row["final"], ret=row["return"])
+                point = curve.add(export(model, venv, meta), last_step, std=std)
+                bar.update(last_step - first_step, final=point["final"], ret=point["return"])
             else:
-                bar.update(now - before)
-            due -= now - before
-            if due <= 0 or now >= ppo.steps:
-                due = ppo.checkpoint_every
+                bar.update(last_step - first_step)
+            steps_to_checkpoint -= last_step - first_step
+            if steps_to_checkpoint <= 0 or last_step >= ppo.steps:
+                steps_to_checkpoint = ppo.checkpoint_every
                 metrics.flush()
                 _save(state, model, venv, curve.points)
     return state / "best", curve.points
 
 
 class _LearningRate:
-    """Linear from start to end over the whole run. stable-baselines3 passes the fraction of a segment: not used."""
+    """Linear schedule over the whole run. The argument of stable-baselines3 refers to a segment and is ignored."""
 
     def __init__(self, ppo: PPOSettings) -> None:
         self._ppo = ppo
         self.step = 0
 
     def __call__(self, _: float) -> float:
-        left = max(0.0, 1.0 - self.step / self._ppo.steps)
-        return self._ppo.learning_rate_end + (self._ppo.learning_rate - self._ppo.learning_rate_end) * left
+        remaining = max(0.0, 1.0 - self.step / self._ppo.steps)
+        return self._ppo.learning_rate_end + (self._ppo.learning_rate - self._ppo.learning_rate_end) * remaining
 
 
-VALUE_FIRST = 50_000
-"""Steps after a warm start in which the policy is frozen and only the value function learns: the advantages of an
-untrained value function would undo the policy."""
+VALUE_ONLY_STEPS = 50_000
+"""Steps after a warm start in which the policy is frozen and only the value function learns. The advantages of an
+untrained value function would destroy the policy."""
 
 
 def _freeze_policy(model: PPO, frozen: bool) -> None:
@@ -101,11 +98,10 @@ def _freeze_policy(model: PPO, frozen: bool) -> None:
     policy.log_std.requires_grad_(not frozen)
 
 
-def _first_expert(request: ExpertRequest, state: Path, progress, device: torch.device) -> Expert:
-    """The expert that the policy starts from: that of a task in the zoo, or one that is fitted here to the muscle
-    controller."""
-    if request.expert.first_task:
-        return Expert.load(zoo.folder(request.expert.first_task))
+def _initial_expert(request: ExpertRequest, state: Path, progress, device: torch.device) -> Expert:
+    """The expert of a warm start: an expert of the zoo, or a new imitation of the muscle controller."""
+    if request.expert.warm_start_task:
+        return Expert.load(zoo.folder(request.expert.warm_start_task))
     from acgd.experts.muscle.learn import train_muscle
 
     imitation = request.model_copy(update={"expert": request.expert.imitation()})
@@ -114,29 +110,31 @@ def _first_expert(request: ExpertRequest, state: Path, progress, device: torch.d
 
 
 def _start_from(expert: Expert, name: str, model: PPO, venv: VecNormalize) -> None:
-    """Copies the policy and the state normaliser of `expert` into `model`. Its value function starts from nothing."""
+    """Copies the policy and the state normaliser of `expert` into `model`, and leaves the value function untrained.
+
+    ValueError where the sizes differ or the expert is a SAC policy.
+    """
     policy, hidden = model.policy, model.policy.mlp_extractor.policy_net
-    ours = (policy.observation_space.shape[0], hidden[0].out_features, policy.action_space.shape[0])
-    theirs = (expert.hidden1.in_features, expert.hidden1.out_features, expert.action.out_features)
-    if expert.squashed or ours != theirs:
+    sizes = (policy.observation_space.shape[0], hidden[0].out_features, policy.action_space.shape[0])
+    expert_sizes = (expert.hidden1.in_features, expert.hidden1.out_features, expert.action.out_features)
+    if expert.squashed or sizes != expert_sizes:
         raise ValueError(
-            f"expert.warm_start: expert {name} has (state, width, action) {theirs}{' and is SAC' * expert.squashed}, "
-            f"this one {ours}: choose an expert of PPO or muscle for the same kind of task, and set "
-            "expert.width to its width"
+            f"expert.warm_start: expert {name} has (state, width, action) {expert_sizes}"
+            f"{' and is SAC' * expert.squashed}, this one {sizes}: choose an expert of PPO or muscle for the same kind "
+            "of task, and set expert.width to its width"
         )
     pairs = ((hidden[0], expert.hidden1), (hidden[2], expert.hidden2), (policy.action_net, expert.action))
-    for layer, first in pairs:
-        layer.load_state_dict(first.state_dict())
-    if (
-        expert.meta.get("algorithm") != "muscle"
-    ):  # its spread is that of its training's noise, not one that PPO has learned
+    for layer, source in pairs:
+        layer.load_state_dict(source.state_dict())
+    # The standard deviation of an imitation is that of its training noise. PPO has not learned it.
+    if expert.meta.get("algorithm") != "muscle":
         policy.log_std.data.copy_(expert.log_std)
     venv.obs_rms.mean, venv.obs_rms.var = expert.state_mean.double().numpy(), expert.state_std.double().square().numpy()
-    venv.obs_rms.count = KNOWN_STATES
+    venv.obs_rms.count = WARM_START_STATES
 
 
 def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
-    """The policy of `model` with the normaliser of `venv`, as plain torch."""
+    """The policy of `model` and the normaliser of `venv` as an Expert."""
     policy = model.policy
     hidden = policy.mlp_extractor.policy_net
     state_dim, action_dim = policy.observation_space.shape[0], policy.action_space.shape[0]
@@ -155,7 +153,7 @@ def export(model: PPO, venv: VecNormalize, meta: dict) -> Expert:
 
 
 def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> None:
-    """One checkpoint: weights, Adam's moments and normalisers; step, updates and curve."""
+    """Writes a checkpoint: weights, Adam's moments, normalisers, step, number of updates, and curve."""
     tensors = {f"policy.{name}": value for name, value in model.policy.state_dict().items()}
     tensors |= checkpoint.moments_of(model.policy.optimizer, "adam.")
     for name, rms in (("obs", venv.obs_rms), ("ret", venv.ret_rms)):
@@ -167,7 +165,7 @@ def _save(state: Path, model: PPO, venv: VecNormalize, curve: list[dict]) -> Non
 
 
 def _load(state: Path, model: PPO, venv: VecNormalize) -> list[dict]:
-    """Goes to the checkpoint if there is one; returns the curve so far."""
+    """Loads the checkpoint in `state`, if any. Returns the curve so far."""
     saved = checkpoint.load(state)
     if saved is None:
         return []

@@ -16,7 +16,7 @@ class PPOSettings(ReinforcementSettings):
     muscle_settings: ClassVar[type[ControllerSettings]] = ImitationSettings
 
     kind: Literal["ppo"] = "ppo"
-    steps: int = Field(default=1_000_000, ge=1, description="Environment steps in all.")
+    steps: int = Field(default=1_000_000, ge=1, description="Environment steps in total.")
     rollout_steps: int = Field(default=256, ge=1, description="Steps of each environment between updates.")
     batch: int = Field(default=256, ge=2, description="Minibatch size.")
     epochs: int = Field(default=8, ge=1, description="Passes over each rollout.")
@@ -29,7 +29,7 @@ class PPOSettings(ReinforcementSettings):
     muscle: ImitationSettings | None = Field(
         default=None,
         description="Settings of the muscle controller and of its imitation. Only with warm_start: muscle. "
-        "The imitation has the width, the environments and the seed of PPO.",
+        "The imitation uses the width, the environments and the seed of PPO.",
     )
 
     @model_validator(mode="after")
@@ -41,6 +41,6 @@ class PPOSettings(ReinforcementSettings):
         return self
 
     def imitation(self) -> MuscleSettings:
-        """Settings of the training by imitation that comes first, with warm_start muscle."""
+        """Settings of the imitation that precedes PPO, with warm_start: muscle."""
         shared = {name: getattr(self, name) for name in LearnerSettings.model_fields}
         return MuscleSettings(**shared, **self.muscle.model_dump())

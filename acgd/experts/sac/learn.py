@@ -1,11 +1,11 @@
-"""Soft actor-critic on the privileged state: one task, one core, checkpoints and a curve.
+"""Soft actor-critic on the privileged state: one task, one core, checkpoints and a learning curve.
 
-For tasks on which PPO needs tens of millions of steps: LayerNorm critics, n-step returns, few updates a step, and
-exploration noise that is held for a random number of steps, since muscles answer slowly. The run is cut
-into segments. Between two, episodes restart with seeds that depend on the step alone: a resumed run goes on
-exactly like an uninterrupted one.
+SAC serves tasks on which PPO needs tens of millions of steps. It has LayerNorm critics, n-step returns, few updates per
+step, and exploration noise that is held for a random number of steps, because muscles respond slowly. The run consists
+of segments. Each segment restarts all episodes with seeds that depend on the step alone, so that a resumed run equals
+an uninterrupted one.
 
-It does not use simulate/roll.py: a segment counts steps, episodes restart at once within it, and learning happens between
+This file does not use simulate/roll.py: a segment counts steps, its episodes restart at once, and updates run between
 steps.
 """
 
@@ -17,7 +17,7 @@ import torch
 from acgd.experts import zoo
 from acgd.experts.curve import Curve
 from acgd.experts.muscle.control import MuscleControl
-from acgd.experts.policy import KNOWN_STATES, Expert
+from acgd.experts.policy import WARM_START_STATES, Expert
 from acgd.experts.sac.replay import Replay
 from acgd.experts.sac.settings import SACSettings
 from acgd.experts.sac.update import SACUpdate
@@ -29,18 +29,18 @@ from acgd.store import checkpoint
 SEGMENT = 10_000
 """Environment steps between restarts of all episodes."""
 TEACHER_NOISE = 0.3
-"""Standard deviation of the noise on a teacher's actions."""
+"""Standard deviation of the noise on the muscle controller's actions."""
 LONGEST_HOLD = 16
-"""Steps that exploration noise is held at most."""
+"""Largest number of steps that exploration noise is held."""
 
 
 def train_sac(
     request: ExpertRequest, state: Path, metrics, progress, device: torch.device = torch.device("cpu")
 ) -> tuple[Path, list[dict]]:
-    """Train, or go on from the checkpoint in `state`; networks run on `device`. Returns the folder of the best expert,
-    which holds its critics, too, and the learning curve.
+    """Trains on `device`, or resumes from the checkpoint in `state`.
 
-    The best is chosen by (final success, return) on validation seeds, never on the card's.
+    Returns the folder of the best expert and its critics, and the learning curve. The best expert is chosen by (final
+    success, return) on validation seeds.
     """
     sac: SACSettings = request.expert
     envs = [StateOnly(request, i) for i in range(sac.envs)]
@@ -51,8 +51,8 @@ def train_sac(
     statistics = _Statistics(state_dim)
     curve = Curve(request, state, metrics, [])
     done = _load(state, learner, replay, statistics, curve)
-    if sac.first_task and not done:
-        first = zoo.folder(sac.first_task)
+    if sac.warm_start_task and not done:
+        first = zoo.folder(sac.warm_start_task)
         learner.start_from(Expert.load(first), Critic.load(first))
         statistics.start_from(learner.critic)
     metrics.rewind(done)
@@ -64,12 +64,12 @@ def train_sac(
             before = done
             done = min(before - before % SEGMENT + SEGMENT, sac.steps)
             _segment(envs, teachers, learner, replay, statistics, sac, before, done)
-            shown = {}
+            values = {}
             if done // sac.evaluate_every > before // sac.evaluate_every or done >= sac.steps:
                 temperature = float(learner.log_temperature.detach().exp())
                 point = curve.add(_export(learner, meta), done, learner.critic, temperature=temperature)
-                shown = {"final": point["final"], "ret": point["return"]}
-            bar.update(done - before, **shown)
+                values = {"final": point["final"], "ret": point["return"]}
+            bar.update(done - before, **values)
             due -= done - before
             if due <= 0 or done >= sac.steps:
                 due = sac.checkpoint_every
@@ -89,8 +89,11 @@ def _segment(
     first: int,
     last: int,
 ) -> None:
-    """Act and learn from environment step `first` to `last`. Before learning begins, actions are those of the teachers,
-    if any, of the expert that training starts from, if any, or random."""
+    """Acts and learns from environment step `first` to `last`.
+
+    Until step `random_steps` nothing is learned, and actions are those of the teachers, of the warm-start expert, or
+    random.
+    """
     learner.generator.manual_seed(sac.seed * 1_000_003 + first)
     rng = np.random.default_rng([sac.seed, first])
     for i, env in enumerate(envs):
@@ -103,11 +106,11 @@ def _segment(
         if step < sac.random_steps and teachers:
             actions = np.stack([teacher.action() for teacher in teachers])
             actions = np.clip(actions + TEACHER_NOISE * noise.next(), -1, 1)
-        elif step < sac.random_steps and not sac.first_task:
+        elif step < sac.random_steps and not sac.warm_start_task:
             actions = np.clip(noise.next(), -1, 1)
         else:
             actions = learner.actor.act(states, noise.next())
-        statistics.see(states)
+        statistics.add_states(states)
         for i, env in enumerate(envs[: last - step]):
             after, reward, terminated, truncated, _ = env.step(actions[i])
             replay.add(i, states[i], actions[i], reward, after, terminated, terminated or truncated)
@@ -118,12 +121,12 @@ def _segment(
         learner.normalise(*statistics.current())
         learner.learning_rate(sac.learning_rate + (sac.learning_rate_end - sac.learning_rate) * step / sac.steps)
         due = int((step + len(envs) - sac.random_steps) * sac.updates_per_step)
-        while learner.step < due and replay.count:  # no row is written before the first n_step steps
+        while learner.step < due and replay.count:  # the replay has no row before n_step steps
             learner.update(replay.sample(sac.batch, sac.replay, rng))
 
 
 class _HeldNoise:
-    """Standard normal noise (E, A) for exploration; each row is held for a number of steps with a Zipf law."""
+    """Standard normal exploration noise (E, A). Each row is held for a number of steps that follows a Zipf law."""
 
     def __init__(self, envs: int, action_dim: int, exponent: float, rng: np.random.Generator) -> None:
         self._noise = np.zeros((envs, action_dim), np.float32)
@@ -139,30 +142,30 @@ class _HeldNoise:
 
 
 class _Statistics:
-    """Running mean and spread of states, and the spread of discounted returns."""
+    """Running mean and standard deviation of states, and standard deviation of discounted returns."""
 
     def __init__(self, state_dim: int) -> None:
         self.count = 0
         self.mean, self.square = np.zeros(state_dim), np.zeros(state_dim)
         self.returns = np.zeros(3)
-        """Count, sum and sum of squares."""
+        """(3,) count, sum and sum of squares of discounted returns."""
         self._running = np.zeros(0)
 
     def start_from(self, critic: Critic) -> None:
-        """Those that `critic` was learned with, as if KNOWN_STATES states and returns had been seen."""
+        """Takes the statistics of `critic`'s training, with a weight of WARM_START_STATES states and returns."""
         std, scale = critic.state_std.double().cpu().numpy(), float(critic.scale)
         self.count, self.mean, self.square = (
-            KNOWN_STATES,
+            WARM_START_STATES,
             critic.state_mean.double().cpu().numpy(),
-            KNOWN_STATES * std**2,
+            WARM_START_STATES * std**2,
         )
-        self.returns[:] = KNOWN_STATES, 0.0, KNOWN_STATES * scale**2
+        self.returns[:] = WARM_START_STATES, 0.0, WARM_START_STATES * scale**2
 
     def restart(self, envs: int) -> None:
         self._running = np.zeros(envs)
 
-    def see(self, states: np.ndarray) -> None:
-        """States (E, S), weighed equally with all before."""
+    def add_states(self, states: np.ndarray) -> None:
+        """Adds states (E, S). All states have the same weight."""
         self.count += len(states)
         delta = states - self.mean
         self.mean += delta.sum(0) / self.count
@@ -204,7 +207,7 @@ def _save(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statisti
 
 
 def _load(state: Path, learner: SACUpdate, replay: Replay, statistics: _Statistics, curve: Curve) -> int:
-    """Goes to the checkpoint if there is one; returns the environment steps done."""
+    """Loads the checkpoint in `state`, if any. Returns the number of environment steps done."""
     saved = checkpoint.load(state)
     if saved is None:
         return 0

@@ -1,4 +1,4 @@
-"""The transitions of an off-policy run, on disk from the moment they happen, so that a resumed run has them all."""
+"""Replay buffer of an off-policy run, in memory-mapped files, so that a resumed run has all transitions."""
 
 from collections import deque
 from pathlib import Path
@@ -9,11 +9,11 @@ from torch import Tensor
 
 
 class Replay:
-    """Transitions over up to n steps, appended to memory-mapped files and never overwritten.
+    """Transitions over up to n steps, appended to memory-mapped files.
 
-    A row holds s_t (S,), a_t (A,), sum_{j<m} gamma^j r_{t+j}, s_{t+m} and gamma^m, or 0 where the task terminated;
-    m is n, or fewer where the episode ended. Time limits are bootstrapped past. `count` rows are valid: a checkpoint
-    keeps the number, and what was written after it is written again.
+    A row holds s_t (S,), a_t (A,), sum_{j<m} gamma^j r_{t+j}, s_{t+m} (S,) and the discount gamma^m. m is n, or less at
+    the end of an episode. The discount is 0 where the task terminated; a time limit is no termination. The first
+    `count` rows are valid. A resumed run overwrites the rows after the count of its checkpoint.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Replay:
         terminated: bool,
         ended: bool,
     ) -> None:
-        """One step of environment number `env`; `ended` closes its episode."""
+        """Adds one step of environment number `env`. `ended` closes the episode."""
         steps = self._open[env]
         steps.append((state.copy(), action.copy(), float(reward)))  # callers reuse their arrays
         if ended:
@@ -57,26 +57,26 @@ class Replay:
             self._write(steps, next_state, False)
 
     def abandon(self) -> None:
-        """Forget the steps that wait for their n-th: their episodes are not continued."""
+        """Drops the steps of unfinished rows. Their episodes are not continued."""
         for steps in self._open:
             steps.clear()
 
-    def _write(self, steps: deque, last: np.ndarray, terminated: bool) -> None:
+    def _write(self, steps: deque, next_state: np.ndarray, terminated: bool) -> None:
         rewards = sum(self._gamma**j * reward for j, (_, _, reward) in enumerate(steps))
         discount = 0.0 if terminated else self._gamma ** len(steps)
         state, action, _ = steps.popleft()
-        for name, value in zip(self._arrays, (state, action, rewards, last, discount)):
+        for name, value in zip(self._arrays, (state, action, rewards, next_state, discount)):
             self._arrays[name][self.count] = value
         self.count += 1
 
     def sample(
         self, batch: int, newest: int, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """`batch` of the `newest` rows, with replacement: s (B, S), a (B, A), r (B,), s' (B, S), discount (B,)."""
+        """Draws from the `newest` rows with replacement: s (B, S), a (B, A), r (B,), s' (B, S), discount (B,)."""
         rows = np.sort(rng.integers(max(0, self.count - newest), self.count, batch))
         return tuple(torch.from_numpy(array[rows]) for array in self._arrays.values())
 
     def flush(self) -> None:
-        """Bring the rows onto the disk."""
+        """Writes all rows to the disk."""
         for array in self._arrays.values():
             array.flush()

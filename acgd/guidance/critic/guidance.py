@@ -1,4 +1,4 @@
-"""Critic guidance (Section III-B): L_distill by the aggregate critic, and the gate of each task."""
+"""Critic guidance (Section III-B): L_distill from the aggregate critic, and the gate of each task."""
 
 import json
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from acgd.store.stage import Inputs
 
 @dataclass(frozen=True)
 class CriticGuidance:
-    """The frozen critics with what scales them."""
+    """The frozen critics, with gates, step weights and alpha."""
 
     critic: AggregateCritic
     gates: Tensor
@@ -28,26 +28,27 @@ class CriticGuidance:
     """(k,) w_j."""
     alpha: float = 1.0
     fraction: float = 1.0
-    """Share of a batch that the critics see."""
+    """Share of a batch that the critics evaluate."""
 
     def rows(self, batch: int) -> int:
+        """Number of guided windows in a batch of `batch` windows, at least one."""
         return max(1, round(batch * self.fraction))
 
     def loss(self, proposal: Tensor, reference: Reference) -> Tensor:
-        """gate_i L_distill of each window, (n, k, A) -> (n,). Steps that weigh nothing are not judged."""
-        judged = slice(int(self.weights.nonzero().max()) + 1)
+        """gate_i L_distill of each window, (n, k, A) -> (n,). Skips the steps after the last one with a weight."""
+        steps = slice(int(self.weights.nonzero().max()) + 1)
         gain = self.step_gains(
-            proposal[:, judged], reference.states[:, judged], reference.actions[:, judged], reference.task
+            proposal[:, steps], reference.states[:, steps], reference.actions[:, steps], reference.task
         )
-        return self.gates[reference.task] * distill(gain, reference.mask[:, judged], self.weights[judged])
+        return self.gates[reference.task] * distill(gain, reference.mask[:, steps], self.weights[steps])
 
     def gain(self, proposal: Tensor, reference: Reference) -> Tensor:
-        """- L_distill of each window, without the gate, (n, k, A) -> (n,)."""
+        """-L_distill of each window, without the gate, (n, k, A) -> (n,)."""
         gain = self.step_gains(proposal, reference.states, reference.actions, reference.task)
         return -distill(gain, reference.mask, self.weights)
 
     def step_gains(self, proposal: Tensor, states: Tensor, actions: Tensor, task: Tensor) -> Tensor:
-        """(Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i, in full precision.
+        """(Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i, in float32.
 
         proposal (n, k, A), states (n, k, S), demonstrated actions (n, k, A), task (n,) -> (n, k).
         """
@@ -58,7 +59,7 @@ class CriticGuidance:
 
 
 def load(settings: CriticGuidanceConfig, inputs: Inputs, *, chunk: int, device: torch.device) -> CriticGuidance:
-    """The frozen critics of all tasks, in the study's order, and their gates."""
+    """Loads the frozen critics of all tasks, in the study's order. `chunk`: k, steps of a chunk."""
     critics = [Critic.load(folder) for folder in inputs["critic"]]
     return CriticGuidance(
         critic=AggregateCritic(critics, settings.pessimism).to(device),
@@ -70,7 +71,11 @@ def load(settings: CriticGuidanceConfig, inputs: Inputs, *, chunk: int, device: 
 
 
 def gates(settings: CriticGuidanceConfig, inputs: Inputs) -> Tensor:
-    """gate_i: one, or zero where the interval of the critic's within-state rank correlation reaches too low -> (m,)."""
+    """gate_i -> (m,).
+
+    The gate `reliable` is 0 where the low end of the critic's within-state rank correlation is below `reliable_rank` or
+    unknown. All other gates are 1.
+    """
     if settings.gate == "one":
         return torch.ones(len(inputs["critic"]))
     lows = rank_intervals(inputs["quality"])
@@ -78,7 +83,7 @@ def gates(settings: CriticGuidanceConfig, inputs: Inputs) -> Tensor:
 
 
 def rank_intervals(qualities: Sequence[Path]) -> list[float | None]:
-    """Low ends of the intervals of the within-state rank correlations; None where there was nothing to rank."""
+    """Low end of the interval of each critic's within-state rank correlation; None where no state had a ranking."""
     return [json.loads((Path(folder) / "quality.json").read_text())["within_state"]["low"] for folder in qualities]
 
 
@@ -86,13 +91,13 @@ def distill(gain: Tensor, mask: Tensor, weights: Tensor) -> Tensor:
     """L_distill = - sum_j m_j w_j (Q_i(s_{t+j}, a_hat_{t+j}) - Q_i(s_{t+j}, a_{t+j})) / spread_i.
 
     The sum is a weighted mean over valid steps. gain (n, k) in spreads of the row's task, mask (n, k), weights (k,)
-    -> (n,). The paper's loss has no Q of the demonstrated action a, a constant.
+    -> (n,). The paper's loss lacks the Q of the demonstrated action a, which is a constant.
     """
     return -over_valid_steps(gain, mask, weights)
 
 
 def step_weights(guided_steps: str, k: int, device: torch.device) -> Tensor:
-    """w_j of L_distill: every step of the chunk, or the first alone -> (k,)."""
+    """w_j of L_distill: 1 for every step of the chunk, or for the first step only -> (k,)."""
     if guided_steps == "chunk":
         return torch.ones(k, device=device)
     return F.one_hot(torch.tensor(0, device=device), k).float()

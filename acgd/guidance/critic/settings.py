@@ -8,31 +8,35 @@ from acgd.settings import Section
 
 
 class CriticGuidanceConfig(Section):
-    """The frozen critics of the experts judge the student's actions: alpha L_BC + gate_i L_distill, Eq. (1)."""
+    """The frozen critics of the experts evaluate the student's actions: alpha L_BC + gate_i L_distill, Eq. (1)."""
 
     kind: Literal["critic"] = "critic"
     gate: Literal["one", "reliable"] = Field(
-        "one", description="one: every task is guided (the paper); reliable: only tasks whose critic ranks actions well"
+        "one",
+        description="Gate of a task, gate_i. one: guides every task (the paper). reliable: guides a task only if its "
+        "critic ranks actions well, see reliable_rank.",
     )
     reliable_rank: float = Field(
-        0.2, description="gate reliable: least low end of the interval of the within-state rank correlation"
+        0.2,
+        description="Gate `reliable` opens where the low end of the interval of the within-state rank correlation "
+        "reaches this value.",
     )
     guided_steps: Literal["chunk", "first"] = Field(
-        "chunk", description="actions the critic judges: every step of the chunk, or the first"
+        "chunk", description="Actions that the critic evaluates. chunk: every step of the chunk. first: its first step."
     )
     guided_fraction: Annotated[float, Field(gt=0, le=1)] = Field(
         0.25,
-        description="share of each batch the critics see, at least one window; the expectation of L_distill does not "
-        "depend on it",
+        description="Share of each batch that the critics evaluate, at least one window. The expectation of L_distill "
+        "does not depend on it.",
     )
     alpha: Annotated[float, Field(gt=0)] = Field(
-        10.0, description="alpha, weight of L_BC against L_distill, Eq. (1); the loss is divided by it"
+        10.0, description="Weight alpha of L_BC relative to L_distill, Eq. (1). The loss is divided by alpha."
     )
     pessimism: Annotated[float, Field(ge=0)] = Field(
-        1.0, description="standard deviations of the critic ensemble taken off its mean"
+        1.0, description="Number of standard deviations of the critic ensemble that are subtracted from its mean."
     )
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """The critics; their measured quality too, where it closes gates."""
+        """Stages that guidance reads: the critics, and their measured quality if the gate depends on it."""
         return ("critic", "quality") if self.gate == "reliable" else ("critic",)

@@ -1,4 +1,4 @@
-"""No guidance: imitation alone."""
+"""No guidance: imitation is the only loss."""
 
 import torch
 
@@ -7,4 +7,4 @@ from acgd.store.stage import Inputs
 
 
 def load(settings: NoGuidanceConfig, inputs: Inputs, *, chunk: int, device: torch.device) -> None:
-    """There is nothing to load."""
+    """Returns None: the kind has no critics."""

@@ -1,4 +1,4 @@
-"""Settings of a student without guidance: there are none."""
+"""Settings of a student without guidance. The kind has no fields."""
 
 from typing import ClassVar, Literal
 
@@ -6,7 +6,7 @@ from acgd.settings import Section
 
 
 class NoGuidanceConfig(Section):
-    """Imitation alone."""
+    """Imitation is the only loss."""
 
     needs: ClassVar[tuple[str, ...]] = ()
 

@@ -1,4 +1,4 @@
-"""The stage `codebook`: L_codebook = L_act + L_code, and the health of the codebook."""
+"""The stage `codebook`: L_codebook = L_act + L_code (Section III-A), and the health of the codebook."""
 
 import json
 import math
@@ -16,6 +16,7 @@ from acgd.students.settings import CodebookRequest
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
+"""Windows."""
 
 
 def fit(request: CodebookRequest, inputs: Inputs, ctx: Context) -> None:
@@ -58,9 +59,9 @@ def fit(request: CodebookRequest, inputs: Inputs, ctx: Context) -> None:
 def codebook_loss(
     codebook: Codebook, batch: Batch, noise: float, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """L_codebook = L_act + L_code (Section III-A), and the usage bonus; its terms too.
+    """L_codebook = L_act + L_code (Section III-A) plus the usage bonus -> loss (), terms by name.
 
-    The straight-through gradient enters the decoder alone.
+    The straight-through gradient passes through the decoder only.
     """
     logits = codebook.encode(batch.chunk, batch.mask)
     onehot, _ = quantizer.sample(logits, generator)
@@ -77,7 +78,7 @@ def codebook_loss(
 
 @torch.no_grad()
 def reconstruction(codebook: Codebook, data: Data, steps: Tensor) -> dict[str, float]:
-    """Mean absolute error per action component, with the likeliest codes and with those of another row."""
+    """Mean absolute error per action component at `steps` (n,): with the likeliest codes, and with shuffled codes."""
     codebook.eval()
     generator = torch.Generator(steps.device).manual_seed(0)
     space = codebook.imitation.action_space
@@ -87,22 +88,22 @@ def reconstruction(codebook: Codebook, data: Data, steps: Tensor) -> dict[str, f
         onehot, _ = quantizer.most_likely(codebook.encode(batch.chunk, batch.mask))
         z_state, z_task = codebook.observer(batch.observation)
         target = to_loss_space(batch.chunk, space)
-        other = onehot[torch.randperm(len(t), generator=generator, device=t.device)]
-        own_errors, other_errors = (
+        shuffled_onehot = onehot[torch.randperm(len(t), generator=generator, device=t.device)]
+        errors, shuffled_errors = (
             losses.act(to_loss_space(codebook.decode(codes, z_state, z_task), space), target, batch.mask)
-            for codes in (onehot, other)
+            for codes in (onehot, shuffled_onehot)
         )
-        error += own_errors.sum().item()
-        shuffled += other_errors.sum().item()
+        error += errors.sum().item()
+        shuffled += shuffled_errors.sum().item()
     codebook.train()
     per_component = len(steps) * codebook.sizes.actions
     return {"error": error / per_component, "shuffled_error": shuffled / per_component}
 
 
 def health(codebook: Codebook, data: Data) -> dict:
-    """Whether codes are in use, and whether the decoder uses them.
+    """Content of health.json: use of the codes, and reconstruction errors with the right and with shuffled codes.
 
-    A shuffled error as small as the plain one means that the decoder ignores z_q.
+    A decoder that ignores z_q has a shuffled_ratio of 1.
     """
     windows = data.windows
     codes = codebook.codes_of(windows)[windows.training]

@@ -1,7 +1,7 @@
-"""The losses of codebook and imitation (Sections III-A, III-C), a value per window (B,), to be averaged by the caller.
+"""The losses of codebook and imitation (Sections III-A, III-C): one value per window (B,). The caller averages them.
 
-Norms are sums over components, as in the paper, and means over the chunk's valid steps, so that their balance does not
-change with the length of the chunk.
+A norm is a sum over components, as in the paper, and a mean over the chunk's valid steps. The mean makes the balance of
+the losses independent of the chunk's length.
 """
 
 import math
@@ -21,8 +21,8 @@ def act(decoded: Tensor, actions: Tensor, mask: Tensor) -> Tensor:
 def code(logits: Tensor, onehot: Tensor) -> Tensor:
     """L_code = |sigma(z_e) - SG[onehot]|_1, mean over groups. (B, G, n_c), (B, G, n_c) -> (B,).
 
-    The stop gradient must be on the one-hot alone: with the straight-through one-hot, or with both of the paper's terms
-    stopped, the gradient is exactly zero.
+    Only the one-hot may have the stop gradient. With the straight-through one-hot, or with a stop gradient on both of
+    the paper's terms, the gradient is exactly zero.
     """
     return (logits.softmax(-1) - onehot.detach()).abs().sum(-1).mean(-1)
 
@@ -30,7 +30,7 @@ def code(logits: Tensor, onehot: Tensor) -> Tensor:
 def usage(logits: Tensor) -> Tensor:
     """Distance of the mean code usage from uniform, in nats: log n_c - H(mean sigma(z_e)), mean over groups -> ().
 
-    Not in the paper, where nothing keeps the codes in use.
+    The paper has no term that keeps the codes in use (docs/deviations.md).
     """
     mean = logits.softmax(-1).mean(0)
     return math.log(logits.shape[-1]) - torch.special.entr(mean).sum(-1).mean()

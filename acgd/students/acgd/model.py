@@ -1,8 +1,8 @@
-"""The networks of Figure 2: phi_act and phi_lat here, and of all of them codebook (a) and student (b).
+"""phi_act and phi_lat of Figure 2, and the networks made of its parts: codebook (a) and student (b).
 
-B windows; k actions of A components in a chunk; G groups of n_c codes; d the width of every embedding. The quantizer C
-and its z_q are in quantizer.py, the losses in losses.py; phi_state, phi_task and psi_dec in the observer.py and
-decoder.py that other students share.
+Sizes: B windows; k actions of A components in a chunk; G groups of n_c codes; d, the width of every embedding. The
+quantizer C and z_q are in quantizer.py, the losses in losses.py. Other students share phi_state and phi_task, in
+observer.py, and psi_dec, in decoder.py.
 """
 
 import json
@@ -38,10 +38,10 @@ ENCODED_AT_ONCE = 1024
 
 
 class ActionEncoder(nn.Module):
-    """phi_act, a transformer over the action chunk: a_{t:t+k} -> z_e."""
+    """phi_act, a transformer over the action chunk: a_{t:t+k} -> z_e (Section III-A)."""
 
     def __init__(self, settings: ACGDConfig, sizes: Sizes, encoding_size: int) -> None:
-        """`encoding_size`: values of z_e per group, logits or coordinates."""
+        """encoding_size: number of values of z_e per group."""
         super().__init__()
         s = settings
         self.embed = nn.Linear(sizes.actions, s.width)
@@ -61,7 +61,7 @@ class ActionEncoder(nn.Module):
 
 
 class LatentEncoder(nn.Module):
-    """phi_lat: the codes that the observation calls for (Figure 2b)."""
+    """phi_lat, an MLP: z_state, z_task -> logits of the codes (Figure 2b)."""
 
     def __init__(self, settings: ACGDConfig) -> None:
         super().__init__()
@@ -82,7 +82,7 @@ class LatentEncoder(nn.Module):
 
 
 class Codebook(nn.Module):
-    """Stage (a): a_{t:t+k} -> codes -> a_hat_{t:t+k}, given z_state and z_task."""
+    """Stage (a) of Figure 2: a_{t:t+k} -> codes -> a_hat_{t:t+k}, given z_state and z_task."""
 
     def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
@@ -103,13 +103,13 @@ class Codebook(nn.Module):
 
     @torch.no_grad()
     def codes_of(self, windows: Windows) -> Tensor:
-        """phi_act's likeliest codes of the window at every step, (N, G)."""
+        """The likeliest codes of phi_act for the window at every step -> (N, G)."""
         every = torch.arange(len(windows.task), device=windows.task.device)
         chunks = (windows.chunk_of("label", t, self.settings.chunk) for t in every.split(ENCODED_AT_ONCE))
         return torch.cat([quantizer.most_likely(self.encode(*chunk))[1] for chunk in chunks])
 
     def save(self, directory: Path) -> None:
-        """Weights as safetensors, settings and sizes as JSON."""
+        """Writes the weights as safetensors, settings and sizes as JSON."""
         save_file({name: value.contiguous() for name, value in self.state_dict().items()}, directory / WEIGHTS)
         meta = {
             "student": in_key(self.settings),
@@ -120,7 +120,7 @@ class Codebook(nn.Module):
 
     @classmethod
     def load(cls, directory: Path, device: torch.device) -> Self:
-        """A codebook as it was saved, in eval mode."""
+        """Loads a saved codebook in evaluation mode."""
         meta = json.loads((Path(directory) / META).read_text())
         codebook = cls(ACGDConfig(**meta["student"]), ImitationConfig(**meta["imitation"]), Sizes(**meta["sizes"]))
         codebook.load_state_dict(load_file(Path(directory) / WEIGHTS))
@@ -128,9 +128,10 @@ class Codebook(nn.Module):
 
 
 class ACGD(nn.Module):
-    """pi_theta, stage (b): observation -> codes -> action chunk.
+    """pi_theta, stage (b) of Figure 2: observation -> codes -> action chunk.
 
-    It keeps the codes of the codebook, and goes on training its observer and decoder; phi_act's codes are the targets.
+    The codes of the codebook stay fixed. Its observer and decoder are trained further. phi_act's codes are the targets
+    of phi_lat.
     """
 
     def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
@@ -142,19 +143,20 @@ class ACGD(nn.Module):
         self.decoder = ActionDecoder(settings, sizes)
 
     def initialise(self, data: Data, inputs: Inputs) -> None:
-        """Observer, codes and decoder as the codebook left them; phi_lat stays fresh."""
+        """Loads observer, codes and decoder from the codebook. phi_lat keeps its random weights."""
         codebook = Codebook.load(inputs["codebook"], self.quantizer.codes.device)
         for part in ("observer", "quantizer", "decoder"):
             getattr(self, part).load_state_dict(getattr(codebook, part).state_dict())
 
     def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
-        """phi_act's code of every window."""
+        """The target `codes` (N, G): phi_act's codes of every window."""
         return {"codes": Codebook.load(inputs["codebook"], self.quantizer.codes.device).codes_of(data.windows)}
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """L_BC = L_lat + L_act. L_act decodes phi_act's code, the proposal phi_lat's straight-through sample.
+        """L_BC = L_lat + L_act (Section III-C).
 
-        Both pass the decoder as one batch.
+        L_act decodes phi_act's code. The proposal decodes a straight-through sample of phi_lat. Both pass the decoder
+        in one batch.
         """
         codes = batch.targets["codes"]
         z_state, z_task = self.observer(batch.observation, noise, generators["data"])
@@ -171,7 +173,7 @@ class ACGD(nn.Module):
         return Imitation(l_lat + l_act, proposal, {"l_lat": l_lat, "l_act": l_act})
 
     def validate(self, batch: Batch) -> dict[str, Tensor]:
-        """L_BC and its parts, and how often phi_lat's likeliest code is phi_act's."""
+        """L_BC, its parts, and the share of groups in which phi_lat's likeliest code equals phi_act's; each (B,)."""
         codes = batch.targets["codes"]
         z_state, z_task = self.observer(batch.observation)
         logits = self.latent_encoder(z_state, z_task)
@@ -197,5 +199,5 @@ class ACGD(nn.Module):
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
     def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
-        """Acts by its chunks."""
+        """A policy that acts from the student's chunks."""
         return ChunkPolicy(self, perception, acting)

@@ -8,7 +8,7 @@ from acgd.students.acgd.settings import ACGDConfig
 
 
 def logits_by_distance(z_e: Tensor, codes: Tensor) -> Tensor:
-    """Minus the squared distances of z_e (B, G, n_q) to codes (G, n_c, n_q) -> (B, G, n_c).
+    """Negative squared distances of z_e (B, G, n_q) to codes (G, n_c, n_q) -> (B, G, n_c).
 
     The nearest code is the likeliest.
     """
@@ -17,12 +17,12 @@ def logits_by_distance(z_e: Tensor, codes: Tensor) -> Tensor:
 
 
 def onehot(codes: Tensor, n_c: int) -> Tensor:
-    """codes (...) -> (..., n_c) float32."""
+    """One-hot vectors of codes (...) long -> (..., n_c) float32."""
     return F.one_hot(codes, n_c).float()
 
 
 def sample(logits: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """c ~ M(sigma(z_e)), straight through.
+    """Straight-through sample c ~ M(sigma(z_e)) (Section III-A).
 
     logits (B, G, n_c) -> one-hot with the gradient of sigma(logits) (B, G, n_c), codes (B, G).
     """
@@ -33,19 +33,19 @@ def sample(logits: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
 
 
 def most_likely(logits: Tensor) -> tuple[Tensor, Tensor]:
-    """The argmax, used in evaluation. logits (B, G, n_c) -> one-hot (B, G, n_c), codes (B, G)."""
+    """The likeliest codes, used in evaluation. logits (B, G, n_c) -> one-hot (B, G, n_c), codes (B, G)."""
     codes = logits.argmax(-1)
     return onehot(codes, logits.shape[-1]), codes
 
 
 def perplexity(codes: Tensor, n_c: int) -> Tensor:
-    """Effective number of codes in use, exp of the entropy of their frequencies. codes (N, G) -> (G,)."""
+    """Effective number of codes in use: exp of the entropy of their frequencies. codes (N, G) -> (G,)."""
     usage = F.one_hot(codes, n_c).to(torch.float64).mean(0)
     return torch.special.entr(usage).sum(-1).exp()
 
 
 class Quantizer(nn.Module):
-    """The codebook C: G groups of n_c embeddings e of size n_q; z_q is the sum of the chosen ones."""
+    """The codebook C: G groups of n_c embeddings e of size n_q. z_q is the sum of the chosen embeddings."""
 
     def __init__(self, settings: ACGDConfig) -> None:
         super().__init__()
@@ -55,7 +55,7 @@ class Quantizer(nn.Module):
 
     @property
     def encoding_size(self) -> int:
-        """Size of z_e per group: n_c logits, or n_q coordinates where distances are the logits."""
+        """Number of values of z_e per group: n_c logits, or n_q coordinates where distances give the logits."""
         return self.codes.shape[2] if self.distance else self.codes.shape[1]
 
     def logits(self, z_e: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Settings of the student of the paper: its architecture and its codebook."""
+"""Settings of the paper's student: architecture and codebook."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -12,25 +12,29 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class CodebookConfig(Section):
-    """Stage (a) of Figure 2: action chunks to codes and back. Its sizes are the student's."""
+    """Stage (a) of Figure 2: action chunks to codes and back. The student's settings give the sizes."""
 
-    code_weight: NonNegative = Field(0.1, description="weight of L_code")
+    code_weight: NonNegative = Field(0.1, description="Weight of L_code.")
     usage_weight: NonNegative = Field(
-        0.1, description="weight of the bonus on the entropy of the batch's mean code usage"
+        0.1, description="Weight of the bonus on the entropy of the batch's mean code usage."
     )
-    training: TrainingConfig = Field(TrainingConfig(), description="optimisation")
+    training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of the codebook.")
 
 
 class ACGDConfig(TransformerSettings):
-    """The paper's student: codes of an action chunk, predicted from the observation and decoded (Figure 2)."""
+    """The paper's student. It predicts codes of an action chunk from the observation and decodes them (Figure 2)."""
 
     needs: ClassVar[tuple[str, ...]] = ("codebook",)
 
     kind: Literal["acgd"] = "acgd"
-    groups: Positive = Field(4, description="G, codes that describe one chunk")
-    codes: Annotated[int, Field(ge=2)] = Field(16, description="n_c, codes in each group")
+    groups: Positive = Field(4, description="Codes that describe one chunk, G.")
+    codes: Annotated[int, Field(ge=2)] = Field(16, description="Codes in each group, n_c.")
     logits: Literal["direct", "distance"] = Field(
-        "direct", description="z_e are the logits (the paper), or minus its squared distances to the codes are"
+        "direct",
+        description="Logits of the codes. direct: z_e (the paper). distance: the negative squared distances of z_e to "
+        "the codes.",
     )
-    encoder_layers: Positive = Field(1, description="transformer layers of phi_act")
-    codebook: CodebookConfig = Field(CodebookConfig(), description="Stage codebook, one artifact for each student seed")
+    encoder_layers: Positive = Field(1, description="Transformer layers of phi_act.")
+    codebook: CodebookConfig = Field(
+        CodebookConfig(), description="Stage `codebook`, one artifact for each student seed."
+    )

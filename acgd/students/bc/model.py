@@ -20,16 +20,16 @@ from acgd.students.student import Imitation, Sizes
 
 
 class BC(nn.Module):
-    """Observation -> a chunk of one action, strictly inside the box."""
+    """An MLP: observation -> a chunk of one action in (-1, 1)^A."""
 
     def __init__(self, settings: BCConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
         goal_image = imitation.goal_image != "off"
         self.inputs = StudentInputs(sizes, goal_image=goal_image)
-        read = sizes.features * (2 if goal_image else 1) + sizes.proprio + sizes.tasks
+        input_size = sizes.features * (2 if goal_image else 1) + sizes.proprio + sizes.tasks
         self.net = nn.Sequential(
-            nn.Linear(read, settings.width),
+            nn.Linear(input_size, settings.width),
             nn.ReLU(),
             nn.Linear(settings.width, settings.width),
             nn.ReLU(),
@@ -37,67 +37,69 @@ class BC(nn.Module):
         )
 
     def initialise(self, data: Data, inputs: Inputs) -> None:
-        """Normalises its inputs by the demonstrations."""
+        """Fits the normalisers of the inputs to the demonstrations."""
         self.inputs.fit(data.windows)
 
     def prepare(self, data: Data, inputs: Inputs) -> dict[str, Tensor]:
-        """The labels are the only targets."""
+        """Returns no further targets: the labels are the only ones."""
         return {}
 
     def forward(self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None) -> Tensor:
-        """-> (B, 1, A)."""
+        """Action (B, 1, A). noise: standard deviation on the normalised inputs."""
         vision, goal, proprio = self.inputs(observation, noise, generator)
         task = F.one_hot(observation.task, self.sizes.tasks).float()
-        read = [vision, *([] if goal is None else [goal]), proprio[:, -1], task]
-        return self.net(torch.cat(read, dim=-1)).float().tanh()[:, None]
+        inputs = [vision, *([] if goal is None else [goal]), proprio[:, -1], task]
+        return self.net(torch.cat(inputs, dim=-1)).float().tanh()[:, None]
 
     def imitate(self, batch: Batch, *, guided: int, noise: float, generators: Generators) -> Imitation:
-        """The proposal is the imitating action itself."""
+        """L_BC is the L1 error of the action. The proposal is the same action."""
         action = self(batch.observation, noise, generators["data"])
         error = self.error(action, batch)
         return Imitation(error, action[:guided] if guided else None, {"l_act": error})
 
     def validate(self, batch: Batch) -> dict[str, Tensor]:
-        """L_BC."""
+        """L_BC (B,)."""
         return {"validation_loss": self.error(self(batch.observation), batch)}
 
     def error(self, action: Tensor, batch: Batch) -> Tensor:
-        """1-norm of the error of each window, (B, 1, A) -> (B,)."""
+        """1-norm of the error of each window: action (B, 1, A) -> (B,)."""
         return l1_error(action, batch, self.imitation.action_space)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
-        """(B, 1, A)."""
+        """The action (B, 1, A)."""
         return self(observation)
 
     def policy(self, perception: Perception, acting: ActingConfig) -> "BCPolicy":
-        """Acts step by step. `acting` is for chunks, and there are none."""
+        """A policy that acts step by step. It ignores `acting`, which is for chunks."""
         return BCPolicy(self, perception)
 
 
-class Given(NamedTuple):
-    """What does not change within an episode, a row per environment."""
+class Memory(NamedTuple):
+    """Task and goal of each environment. They are constant within an episode."""
 
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F), or (n, H, W, 3) uint8 where the student owns its CNN."""
+    """(n, F) goal features, or (n, H, W, 3) uint8 goal images for a student with a CNN. None: no goal image."""
 
 
 class BCPolicy:
-    """One action a step, from the current observation alone."""
+    """Policy of BC: one action per step, from the current observation only."""
 
     def __init__(self, student: BC, perception: Perception) -> None:
         self.student, self.perception = student.eval(), perception
 
-    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Given:
-        """tasks (n,), goal images (n, H, W, 3) uint8 or None. It draws nothing, and so ignores the seeds."""
-        return Given(np.asarray(tasks, np.int64), self.perception.see_goals(goals))
+    def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
+        """tasks (n,), goal images (n, H, W, 3) uint8 or None. The policy ignores `seeds`: it is deterministic."""
+        return Memory(np.asarray(tasks, np.int64), self.perception.see_goals(goals))
 
     @torch.inference_mode()
-    def act(self, obs: Mapping[str, np.ndarray], memory: Given) -> tuple[np.ndarray, Given]:
+    def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
         """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box."""
         tensor = self.perception.tensor
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
-        seen = Observation(self.perception.see(obs["image"]), tensor(memory.goal), tensor(proprio), tensor(memory.task))
-        return self.student.plan(seen)[:, 0].cpu().numpy(), memory
+        observation = Observation(
+            self.perception.see(obs["image"]), tensor(memory.goal), tensor(proprio), tensor(memory.task)
+        )
+        return self.student.plan(observation)[:, 0].cpu().numpy(), memory

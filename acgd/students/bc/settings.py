@@ -8,11 +8,11 @@ from acgd.settings import Section
 
 
 class BCConfig(Section):
-    """The floor of what a method must beat: two hidden layers, one action a step, without memory."""
+    """The simplest baseline: an MLP with two hidden layers, one action per step, no memory."""
 
     needs: ClassVar[tuple[str, ...]] = ()
     chunk: ClassVar[int] = 1
     history: ClassVar[int] = 1
 
     kind: Literal["bc"] = "bc"
-    width: int = Field(256, ge=1, description="units of each hidden layer")
+    width: int = Field(256, ge=1, description="Units of each hidden layer.")

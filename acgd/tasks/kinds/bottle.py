@@ -1,4 +1,4 @@
-"""BiDex Bottle: a bottle in the left hand, whose cap the right hand pulls off."""
+"""BiDex Bottle: the left hand holds a bottle, and the right hand pulls its cap off."""
 
 from dataclasses import replace
 
@@ -11,39 +11,39 @@ from acgd.tasks.scene import NEAR, Touch, closeness, compiled
 
 CAMERA = Camera((0.08, -0.6, 0.55), 0.42, -50.0, -30.0)
 PLACE, PITCH = (0.0, -0.6, 0.5), -0.7
-"""Of the bottle, metres and radians: the middle of its wide part, where it is held, and its cap pointing to +x and upwards."""
+"""Place of the bottle's held middle in metres, and its pitch in radians: the cap points to +x and upwards."""
 QUAT = (np.cos(PITCH / 2.0), 0.0, np.sin(PITCH / 2.0), 0.0)
 AXIS = np.array([np.cos(PITCH), 0.0, -np.sin(PITCH)])
-"""From the bottom to the cap, in the world."""
+"""Unit vector from the bottom to the cap, in the world."""
 BACK = np.array([AXIS[2], 0.0, -AXIS[0]])
-"""Out of the back of either hand, in the world: palms are parallel to the bottle and look up."""
+"""Unit vector out of the back of both hands, in the world. The palms are parallel to the bottle and face up."""
 BODY, RADIUS = 0.175, 0.038
 NECK, NECK_RADIUS = 0.09, 0.010
 CAP, CAP_RADIUS = 0.010, 0.013
 """Lengths and radii of the wide part, the neck and the cap, metres."""
 CAP_PLACE = BODY / 2.0 + NECK + CAP / 2.0
-"""Along the axis, metres."""
+"""Place of the cap along the axis, metres."""
 TRAVEL, OFF = 0.064, 0.028
-"""How far the cap slides, and from where on it is off, metres."""
+"""Largest travel of the cap, and travel from which it counts as off, metres."""
 TILT = 0.3
-"""How much lower than the wrist the left hand's fingers are, radians: the bottle lies in their hook."""
+"""Angle of the left hand's fingers below the wrist, radians. The bottle lies in the hooked fingers."""
 IN_LEFT = (-0.018, -0.0495, 0.070)
 IN_RIGHT = (0.05, -0.026, 0.125)
-"""Where the bottle's middle is in the left palm, and the cap in the right one when the fingers close around the neck."""
+"""Place of the bottle's middle in the left palm, and of the cap in the right palm in a grasp of the neck, metres."""
 FAR_RIGHT = (0.04, 0.075, -0.06)
-"""Where the right hand starts from there: along the bottle's axis, behind it, and along the fingers, metres."""
+"""Start of the right hand relative to that grasp: along the bottle's axis, along BACK, along the fingers; metres."""
 OUT_NOISE, YAW_NOISE = 0.04, 0.25
-"""How a perturbed start moves the bottle in the left hand, uniform: up to so many metres outwards, radians either way."""
+"""Uniform perturbation of the bottle in the left hand: outwards by at most metres, yaw by radians either way."""
 FINGERS = ("FF", "MF", "RF", "LF")
 HOLDING = {f"{finger}{joint}": angle for finger in FINGERS for joint, angle in (("J2", 0.78), ("J1", 0.70))}
 HOLDING |= {"THJ4": 0.6, "THJ3": 0.05, "THJ1": -0.3, "THJ0": -0.3}
-"""The left hand's fingers and thumb around the bottle, which they hold as they are."""
+"""Joint angles of the left hand around the bottle, rad."""
 APPROACH = 0.3
-"""How far of the way from the far start to the neck the near one is."""
+"""Share of the way from the far start to the neck at which the near start lies."""
 
 
 class Bottle:
-    """The hands and the bottle. Without noise the right one is 10 cm from the cap."""
+    """The hands and the bottle. Without noise the right hand is 10 cm from the cap."""
 
     weights = {"reach": 0.5, "held": 0.5, "travel": 3.0, "original": 0.0}
     hold_steps = 1
@@ -73,7 +73,7 @@ class Bottle:
         x, y, z = IN_LEFT
         place, quat = np.split(data.qpos[self._place : self._place + 7], [3])  # views
         place[:] = data.xpos[self._left] + data.xmat[self._left].reshape(3, 3) @ (x - out, y, z)
-        turn = np.array([np.cos(yaw / 2.0), 0.0, np.sin(yaw / 2.0), 0.0])  # about the palm's normal
+        turn = np.array([np.cos(yaw / 2.0), 0.0, np.sin(yaw / 2.0), 0.0])  # yaw about the palm's normal
         mujoco.mju_mulQuat(quat, turn, self._in_left)
         mujoco.mju_mulQuat(quat, data.xquat[self._left], quat.copy())
 
@@ -94,7 +94,7 @@ class Bottle:
         }
 
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
-        """`original` is Bi-DexHands' reward."""
+        """Reward terms. `original` is the reward of Bi-DexHands."""
         bottle, cap = data.xpos[self._bottle], data.xpos[self._cap]
         far = shadow.distances(self.hands.tips(data)[0], cap)
         palm = float(shadow.distances(self.hands.palms(data)[1], bottle))
@@ -110,21 +110,21 @@ class Bottle:
         return bool(data.qpos[self._travel] >= OFF)
 
     def failed(self, data: mujoco.MjData) -> bool:
-        """Whether the bottle is dropped or left alone."""
+        """Whether the bottle has fallen, or a hand is far from its part of the bottle."""
         cap, palms = data.xpos[self._cap], self.hands.palms(data)
         right, left = shadow.distances(palms, np.stack([cap, data.xpos[self._bottle]]))
         return bool(cap[2] < 0.5 or right > 0.5 or left > 0.2)
 
 
 def _in_world(point: tuple[float, float, float], hand: shadow.HandPlace) -> np.ndarray:
-    """A vector (3,) of a palm's frame in the world."""
+    """A vector (3,) of the hand's frame, rotated into the world frame."""
     turned = np.empty(3)
     mujoco.mju_rotVecQuat(turned, np.array(point), hand.quat())
     return turned
 
 
 def _to_neck() -> np.ndarray:
-    """From the right hand's start to where its fingers close around the neck."""
+    """Vector (3,) in the world from the right hand's start to its grasp of the neck, metres."""
     return -np.stack([AXIS, BACK, [0.0, 1.0, 0.0]], axis=1) @ FAR_RIGHT
 
 
@@ -162,7 +162,7 @@ def _build() -> mujoco.MjSpec:
         rgba=(0.95, 0.6, 0.1, 1),
         **shadow.OBJECT,
     )
-    # what is left of the cork in the neck shows when the cap is off; nothing touches it
+    # the cork becomes visible when the cap is off; it has no contacts
     cork = np.array([-TRAVEL, 0, 0, 0, 0, 0])
     cap.add_geom(
         type=cylinder,
@@ -178,7 +178,7 @@ def _build() -> mujoco.MjSpec:
 
 
 def _hand_places() -> tuple[shadow.HandPlace, shadow.HandPlace]:
-    """The right hand behind the neck, the left one under the bottle."""
+    """Places of the right hand, behind the neck, and of the left hand, under the bottle."""
     ahead = np.array([0.0, 1.0, 0.0])
     right = shadow.HandPlace((0, 0, 0), tuple(ahead), tuple(BACK))
     down, level = np.sin(TILT), np.cos(TILT)

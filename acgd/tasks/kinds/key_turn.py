@@ -1,4 +1,4 @@
-"""Key-turn: turn a key, by thumb and index finger, as far as it goes."""
+"""Key-turn: turn a key with thumb and index finger."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from acgd.tasks.rendering.camera import Camera
 
 CAMERA = Camera((-0.16, -0.555, 1.42), 0.29, 100.0, -40.0)
 KEY_PLACE = 0.002
-"""Metres an axis."""
+"""Uniform noise of the key's place, metres per axis."""
 KEY_ANGLE = 0.2
-"""rad"""
+"""Uniform noise of the key's angle, rad."""
 
 
 def _entries(base, data, step: float) -> dict[str, np.ndarray]:
@@ -26,7 +26,7 @@ def _entries(base, data, step: float) -> dict[str, np.ndarray]:
 def _perturb(base, rng: np.random.Generator, goal: bool) -> None:
     place = rng.uniform(-KEY_PLACE, KEY_PLACE, 3)
     angle = rng.uniform(-KEY_ANGLE, KEY_ANGLE)
-    if goal:  # the Random task draws place and angle over wider ranges itself
+    if goal:  # the Random task draws place and angle over wider ranges
         base.model.body_pos[-1] = base.key_init_pos + place
         base.data.qpos[-1] = angle
 

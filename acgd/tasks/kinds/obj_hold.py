@@ -1,4 +1,4 @@
-"""Obj-hold: bring the object in the hand to a goal, and hold it there."""
+"""Obj-hold: move the object in the hand to a goal, and hold it there."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from acgd.tasks.rendering.camera import Camera
 CAMERA = Camera((-0.23, -0.53, 1.43), 0.26, 130.0, -50.0)
 HOLD_PLACE = 0.003
 HOLD_GOAL = 0.006
-"""Metres an axis."""
+"""Uniform noise of the object's place and of the goal, metres per axis."""
 
 
 def _entries(base, data, step: float) -> dict[str, np.ndarray]:

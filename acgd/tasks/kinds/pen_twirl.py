@@ -1,4 +1,4 @@
-"""Pen-twirl: turn the pen in the hand to a wanted direction."""
+"""Pen-twirl: turn the pen in the hand to a target direction."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from acgd.tasks.rendering.camera import Camera
 
 CAMERA = Camera((-0.125, -0.53, 1.40), 0.50, 90.0, -50.0)
 PEN_PLACE = 0.005
-"""Metres an axis."""
+"""Uniform noise of the pen's place, metres per axis."""
 PEN_TILT = 0.1
 PEN_GOAL = 0.2
-"""rad an axis"""
+"""Uniform noise of the pen's tilt and of the target's tilt, rad per axis."""
 
 
 def _entries(base, data, step: float) -> dict[str, np.ndarray]:

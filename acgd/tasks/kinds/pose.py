@@ -1,4 +1,4 @@
-"""Pose: bring all joints of the hand to given angles."""
+"""Pose: move all joints of the hand to target angles."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from acgd.tasks.rendering.camera import Camera
 
 CAMERA = Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0)
 POSE_GOAL = 0.15
-"""rad a joint"""
+"""Uniform noise of the target angles, rad per joint."""
 
 
 def _entries(base, data, step: float) -> dict[str, np.ndarray]:

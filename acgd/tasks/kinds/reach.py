@@ -1,4 +1,4 @@
-"""Reach: bring the five fingertips to five targets."""
+"""Reach: move the five fingertips to five targets."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from acgd.tasks.rendering.camera import Camera
 
 CAMERA = Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0)
 REACH_GOAL = 0.015
-"""Metres an axis."""
+"""Uniform noise that moves all targets together, metres per axis."""
 
 
 def _entries(base, data, step: float) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""BiDex Scissors: a large pair of scissors on a table, to be opened by pulling its handles apart, one in each hand."""
+"""BiDex Scissors: open a large pair of scissors on a table by pulling its handles apart, one with each hand."""
 
 import mujoco
 import numpy as np
@@ -11,28 +11,29 @@ CAMERA = Camera((0.05, 0.0, 0.64), 0.7, 0.0, -50.0)
 TABLE = 0.6
 """Height of the table, metres."""
 CLOSED, OPEN = -0.59, -0.3
-"""Angles of the hinge, radians: at the start, and from where on the scissors count as open. It goes on to WIDE."""
+"""Angles of the hinge, radians: at the start, and above which the scissors count as open."""
 WIDE = 0.4
+"""Largest angle of the hinge, radians."""
 HINGE = (-0.07, 0.0, 0.0)
-"""In the frame of the scissors, whose x points at the hands, metres."""
+"""Place of the hinge in the frame of the scissors, whose x axis points at the hands, metres."""
 BLADE, WIDTH, HALF = 0.23, 0.012, 0.006
-"""A blade's length, its half width, and half the thickness of all parts, metres."""
+"""Length and half width of a blade, and half the thickness of all parts, metres."""
 RING = ((0.13, 0.012), (0.13, 0.134), (0.245, 0.134), (0.245, 0.012))
-"""Corners of the right hand's handle from the hinge, metres; the left hand's is its mirror image."""
+"""Corners of the right handle relative to the hinge, metres. The left handle is the mirror image."""
 FEET = ((-0.12, 0.0), RING[1], RING[2])
-"""Where a half slides on the table, from the hinge: there alone, as flat parts would make forty contacts."""
+"""Points at which a half touches the table, relative to the hinge, metres. Flat parts would have forty contacts."""
 GRIP = (0.1875, 0.073, 0.0)
-"""The middle of that handle: where the fingers go."""
+"""Middle of the right handle, where the fingers go, metres."""
 PLACE_NOISE, YAW_NOISE = (0.06, 0.12), 0.7
-"""Of a perturbed start, uniform: metres along x and y, radians."""
+"""Uniform noise of a perturbed start: place along x and y in metres, yaw in radians."""
 _BENT = {f"{finger}J2": 0.7 for finger in ("FF", "MF", "RF", "LF")}
 NEAR_RIGHT = {"x": -0.03, "y": -0.13, "z": -0.02} | _BENT
 NEAR_LEFT = {"x": -0.03, "y": 0.13, "z": -0.02} | _BENT
-"""Fingers half bent, some centimetres above the handles."""
+"""Joints of near starts: half bent fingers, some centimetres above the handles."""
 
 
 class Scissors:
-    """The hands and the free scissors. Without noise the fingers are straight, 20 cm above the table and outside of the handles."""
+    """The hands and the free scissors. Without noise the straight fingers are 20 cm above the table."""
 
     weights = {"reach": 0.5, "opening": 3.0, "original": 0.0}
     hold_steps = 1
@@ -70,12 +71,12 @@ class Scissors:
         }
 
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
-        """`original` is Bi-DexHands' reward."""
+        """Reward terms. `original` is the reward of Bi-DexHands."""
         handles = data.site_xpos[self._handles]
         far = shadow.distances(self.hands.tips(data), handles[:, None])
         opened = float(data.qpos[self._angle]) - CLOSED
         return {
-            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # the thumb has no part in it
+            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # without the thumb
             "opening": min(max(opened / 0.6, 0.0), 1.0),
             "original": float(2.0 - far.sum() + 5.0 * opened * (far.sum(axis=1) < 0.7).all()),
         }
@@ -96,8 +97,15 @@ def _build() -> mujoco.MjSpec:
     _add_half(scissors, HINGE, 1.0, "right", (0.75, 0.15, 0.12, 1))
     other = scissors.add_body(name="scissors/left", pos=HINGE)
     other.add_joint(
-        name="hinge", axis=(0, 0, -1), limited=True, range=(CLOSED - 0.007, WIDE), ref=CLOSED, damping=0.02, frictionloss=0.02, armature=0.001
-    )  # fmt: skip
+        name="hinge",
+        axis=(0, 0, -1),
+        limited=True,
+        range=(CLOSED - 0.007, WIDE),
+        ref=CLOSED,
+        damping=0.02,
+        frictionloss=0.02,
+        armature=0.001,
+    )
     _add_half(other, (0.0, 0.0, 0.0), -1.0, "left", (0.95, 0.7, 0.1, 1))
     ahead, up = (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     right, left = (shadow.HandPlace((0.26, y, 0.81), fingers=ahead, back=up) for y in (0.2, -0.2))
@@ -106,10 +114,10 @@ def _build() -> mujoco.MjSpec:
 
 
 def _add_half(body, hinge: tuple[float, float, float], sign: float, side: str, colour: tuple[float, ...]) -> None:
-    """A blade and a handle from `hinge`, the handle on the side of `sign` times y."""
+    """Adds a blade and a handle at `hinge`. The handle lies on the side of `sign` * y."""
     box, hinge = mujoco.mjtGeom.mjGEOM_BOX, np.array(hinge)
     look = {"type": box, "rgba": colour, "contype": 0, "conaffinity": 1}
-    blade = hinge + (-BLADE / 2.0, 0.0, -sign * HALF / 2.0)  # one above the other
+    blade = hinge + (-BLADE / 2.0, 0.0, -sign * HALF / 2.0)  # one blade lies above the other
     body.add_geom(size=(BLADE / 2.0, WIDTH, HALF / 2.0), pos=blade, mass=0.05, **look)
     corners = [hinge + (x, sign * y, 0.0) for x, y in RING]
     near = (corners[0] + corners[1]) / 2.0

@@ -1,4 +1,4 @@
-"""Spray-1: a round bottle."""
+"""OpDex Spray-1: a round bottle."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Spray-2: a bottle shaped like a box."""
+"""OpDex Spray-2: a box-shaped bottle."""
 
 from functools import partial
 

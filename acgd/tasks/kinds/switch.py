@@ -1,4 +1,4 @@
-"""BiDex Switch: two switches on a table, to be turned on together, one by each hand."""
+"""BiDex Switch: turn on two switches on a table, one with each hand."""
 
 import mujoco
 import numpy as np
@@ -11,24 +11,25 @@ CAMERA = Camera((0.02, 0.0, 0.71), 0.68, 0.0, -33.0)
 TABLE = 0.55
 """Height of the table, metres."""
 OFF = 0.5585
-"""Angle of a rocker that is off, radians; 0 is on."""
+"""Angle of a rocker in the off position, radians. The on position is 0."""
 PRESSED = 0.8
-"""Part of the travel from which a switch counts as on."""
+"""Share of the travel above which a switch counts as on."""
 HOUSING = (0.0725, 0.05, 0.0715)
 ROCKER = (0.05, 0.03, 0.012)
 PIVOT = (0.011, 0.0, 0.142)
 HANDLE = (0.042, 0.0, 0.012)
-"""Half sizes of the boxes, and places in the frame they belong to, metres. The handle is where to press."""
+"""Half sizes of housing and rocker, and places of pivot and handle in their frames, metres. The handle is the point to
+press."""
 PLACES = ((0.0, 0.2), (0.0, -0.2))
-"""Where the switches stand, that of the right hand first, metres."""
+"""Places of the switches, that of the right hand first, metres."""
 PLACE_NOISE, YAW_NOISE, ANGLE_NOISE = 0.05, 0.4, 0.05
-"""Of a perturbed start, uniform: metres an axis, radians, part of a rocker's travel."""
+"""Uniform noise of a perturbed start: place in metres, yaw in radians, angle in shares of a rocker's travel."""
 NEAR_POSE = {"x": -0.045, "z": 0.05} | {f"{finger}J2": 0.4 for finger in ("FF", "MF", "RF", "LF")}
-"""Fingertips some centimetres above the rockers' raised ends."""
+"""Joints of near starts: fingertips some centimetres above the raised ends of the rockers."""
 
 
 class Switch:
-    """The hands, and two rockers that stay where they are put. Without noise the fingers are straight, 9 cm above."""
+    """The hands, and two rockers that keep their angle. Without noise the straight fingers are 9 cm above."""
 
     weights = {"reach": 0.5, "travel": 1.5, "original": 0.0}
     hold_steps = 1
@@ -63,11 +64,11 @@ class Switch:
         }
 
     def terms(self, data: mujoco.MjData) -> dict[str, float]:
-        """`original` is Bi-DexHands' reward."""
+        """Reward terms. `original` is the reward of Bi-DexHands."""
         handles = data.site_xpos[self._handles]
         far = shadow.distances(self.hands.tips(data), handles[:, None])
         return {
-            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # the thumb has no part in it
+            "reach": float(sum(closeness(d / 4.0) for d in far[:, :4].sum(axis=1))),  # without the thumb
             "travel": float(self._travel(data).sum()),
             "original": float(2.0 - far.sum() + 50.0 * (1.4 - handles[:, 2].sum())),
         }
@@ -79,7 +80,7 @@ class Switch:
         return False
 
     def _travel(self, data: mujoco.MjData) -> np.ndarray:
-        """Part of their travel (2,) that the rockers have gone, in [0, 1]."""
+        """Share (2,) of the travel of each rocker, in [0, 1]."""
         return np.clip(1.0 - data.qpos[self._angles] / OFF, 0.0, 1.0)
 
 
@@ -87,7 +88,7 @@ def _build() -> mujoco.MjSpec:
     spec = shadow.new_spec()
     shadow.add_table(spec, (0.25, 0.5), TABLE)
     for side, place in zip(shadow.SIDES, PLACES):
-        # a mocap body stands still, and its place is part of the state
+        # a mocap body is static, and its place is part of the state
         switch = spec.worldbody.add_body(name=f"switch/{side}", pos=(*place, TABLE), mocap=True)
         box = mujoco.mjtGeom.mjGEOM_BOX
         switch.add_geom(type=box, size=HOUSING, pos=(0, 0, HOUSING[2]), rgba=(0.16, 0.28, 0.45, 1), **shadow.OBJECT)
@@ -102,7 +103,11 @@ def _build() -> mujoco.MjSpec:
             armature=0.001,
         )
         rocker.add_geom(type=box, size=ROCKER, mass=0.05, rgba=(0.9, 0.35, 0.1, 1), **shadow.OBJECT)
-        near = (ROCKER[0] / 2.0, ROCKER[1], ROCKER[2])  # sunk in the housing while the switch is off: the picture tells
+        near = (
+            ROCKER[0] / 2.0,
+            ROCKER[1],
+            ROCKER[2],
+        )  # hidden in the housing while the switch is off, so that pictures show the state
         rocker.add_geom(
             type=box,
             size=np.array(near) + 2e-4,

@@ -1,11 +1,11 @@
-"""Offscreen OpenGL: one context per process, and a clear word when there is none.
+"""Offscreen OpenGL: one context per process, and an error with its mend where OpenGL is missing.
 
-The backend is MUJOCO_GL (`egl`, `osmesa`, `glfw`), as everywhere in MuJoCo; unset, it is EGL on Linux, which
-needs neither a display nor a GPU. The backend is loaded here, at the first picture, and not by `import mujoco`,
-which fixes its own choice at import and falls back on a window system.
+MUJOCO_GL names the backend (`egl`, `osmesa`, `glfw`), as in MuJoCo. The default on Linux is EGL, which needs no display
+and no GPU. This file loads the backend at the first picture. `import mujoco` would fix its choice at import, and would
+fall back on a window system.
 
-Mesa's software renderer shares a picture out over all cores; for small pictures that costs more than it gains
-(three times more where another process keeps the cores busy), so LP_NUM_THREADS is 0 here unless it is set.
+Mesa's software renderer distributes a picture over all cores. For small pictures this is slower, by a factor of three
+where another process uses the cores. This file therefore sets LP_NUM_THREADS to 0 unless it is set.
 """
 
 import functools
@@ -18,41 +18,41 @@ _BACKENDS = ("egl", "osmesa", "glfw")
 
 
 class GraphicsError(RuntimeError):
-    """No offscreen OpenGL; the message says what to install or set."""
+    """Offscreen OpenGL is missing. The message says what to install or set."""
 
 
 def backend() -> str:
-    """The OpenGL backend to use: MUJOCO_GL, else EGL on Linux and a hidden window elsewhere."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if not wanted:
+    """Name of the OpenGL backend: MUJOCO_GL, else EGL on Linux and a hidden window elsewhere."""
+    requested = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if not requested:
         return "egl" if sys.platform.startswith("linux") else "glfw"
-    if wanted not in _BACKENDS:
-        raise GraphicsError(explain(f"MUJOCO_GL={wanted} is no offscreen OpenGL backend"))
-    return wanted
+    if requested not in _BACKENDS:
+        raise GraphicsError(explain(f"MUJOCO_GL={requested} is no offscreen OpenGL backend"))
+    return requested
 
 
 @functools.lru_cache(maxsize=1)
 def context():
-    """The process's one OpenGL context (`mujoco.egl.GLContext` or its like), made on first use.
+    """The OpenGL context of the process (such as `mujoco.egl.GLContext`), created at the first call.
 
-    All tasks of a process draw in it, each into its own framebuffer. It belongs to the thread that draws.
+    All tasks of a process use this context, with a framebuffer each. It belongs to the rendering thread.
     """
     name = backend()
     os.environ.setdefault("LP_NUM_THREADS", "0")
-    # Backends fail in many ways: a missing library is an AttributeError deep in PyOpenGL, a missing driver an
-    # ImportError or an EGLError. Whatever it was, the mend is the same.
+    # A missing library is an AttributeError in PyOpenGL, a missing driver an ImportError or an EGLError. All failures
+    # have the same mend.
     try:
-        made = importlib.import_module(f"mujoco.{name}").GLContext(64, 64)
-        made.make_current()
+        gl_context = importlib.import_module(f"mujoco.{name}").GLContext(64, 64)
+        gl_context.make_current()
     except Exception as error:
         raise GraphicsError(
             explain(f"the OpenGL backend '{name}' does not start ({str(error).rstrip('.')})")
         ) from error
-    return made
+    return gl_context
 
 
 def explain(what: str) -> str:
-    """What is wrong, and what to do about it."""
+    """Message of an error: the fault `what`, and its mend."""
     return (
         f"Cannot draw images: {what}. On Debian or Ubuntu install Mesa's software renderer "
         f"({INSTALL}) and set MUJOCO_GL=egl or leave it unset; MUJOCO_GL=osmesa works "

@@ -1,4 +1,4 @@
-"""Meshes for drawing: the few faces that a small picture can show."""
+"""Decimated meshes for small pictures."""
 
 import copy
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 def decimated(model: mujoco.MjModel, drawn: set[int], faces: int) -> mujoco.MjModel:
-    """A copy of `model` whose meshes `drawn` have at most about `faces` triangles each, and the others none.
+    """A copy of `model` whose meshes `drawn` have at most about `faces` triangles each, and other meshes none.
 
-    The meshes shrink in place: indices, frames and materials stay those of the model, so that a scene
-    made from the model can be drawn with the copy's meshes. The copy serves for drawing only.
+    Indices, frames and materials stay those of `model`, so that a scene of `model` can be rendered with the meshes of
+    the copy. The copy is for rendering only.
     """
     small = copy.copy(model)
-    small.mesh_graphadr[:] = -1  # convex hulls and textures refer to the vertices as they were
+    small.mesh_graphadr[:] = -1  # convex hulls and textures refer to the original vertices
     small.mesh_texcoordadr[:] = -1
     for i in range(model.nmesh):
         if i not in drawn:
@@ -37,7 +37,7 @@ def decimated(model: mujoco.MjModel, drawn: set[int], faces: int) -> mujoco.MjMo
 
 
 def smooth_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) of vertices (V, 3): the mean of the adjoining triangles (F, 3), weighted by area."""
+    """points (V, 3), triangles (F, 3) -> unit normals (V, 3): area-weighted means over adjoining triangles."""
     a, b, c = (points[triangles[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
     normals = np.zeros((len(points), 3))

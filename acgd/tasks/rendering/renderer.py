@@ -1,9 +1,9 @@
-"""Frugal offscreen pictures of a simulation, which they leave untouched.
+"""Fast offscreen pictures of a simulation. Rendering does not change the simulation.
 
-MuJoCo's defaults take 120 to 370 ms for an 84 px picture of a MyoSuite hand on a software renderer: nearly
-all of it goes into vertices that nobody can see (178,021 faces of bones, room and logo), multisampling, shadows
-and tendons. Here a scene is made from the physics model as it is, so that whatever a reset wrote
-into the model shows, and drawn with the meshes of a copy in which they have a few faces each.
+With MuJoCo's defaults an 84 px picture of a MyoSuite hand takes 120 to 370 ms on a software renderer. Nearly all of the
+time goes into invisible vertices (178,021 faces of bones, room and logo), multisampling, shadows and tendons. This
+renderer builds the scene from the physics model, so that all changes of a reset are visible, and renders it with the
+decimated meshes of a copy.
 """
 
 import atexit
@@ -17,16 +17,16 @@ from acgd.tasks.rendering.camera import Camera
 from acgd.tasks.rendering.meshes import decimated
 
 FACES_PER_MESH = 64
-"""At 84 px a bone covers a few dozen pixels; more faces than that do not show."""
+"""Triangles of a decimated mesh. At 84 px a bone covers a few dozen pixels."""
 ROUND = 12, 6
-"""Slices and stacks of spheres, ellipsoids and cylinders, which are meshes to OpenGL as well."""
+"""Slices and stacks of the meshes of spheres, ellipsoids and cylinders."""
 _SHOWN = 0
-"""The group of bones, objects and goal markers; rooms, wrapping surfaces, skins and muscle sites are in others."""
+"""The rendered group: bones, objects and goal markers. Rooms, wrapping surfaces, skins and muscle sites are not."""
 _CATEGORIES = mujoco.mjtCatBit.mjCAT_STATIC | mujoco.mjtCatBit.mjCAT_DYNAMIC
 
 
 class Renderer:
-    """Draws a simulation. Several of one process share the OpenGL context, and the meshes if they are equal."""
+    """Renders a simulation. All renderers of a process share the OpenGL context, and equal meshes."""
 
     def __init__(self, model: mujoco.MjModel, *, camera: Camera, size: int = 84) -> None:
         self.size = size
@@ -42,7 +42,7 @@ class Renderer:
         self._target = _target(model, size)
 
     def render(self, data: mujoco.MjData) -> np.ndarray:
-        """The picture (size, size, 3) uint8 of `data`, which is only read; its kinematics must be up to date."""
+        """The picture (size, size, 3) uint8 of `data`, whose kinematics must be current. `data` is not changed."""
         scene = self._scene
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, _CATEGORIES, scene)
         self._light()
@@ -50,10 +50,10 @@ class Renderer:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._target)
             mujoco.mjr_render(self._viewport, scene, self._target)
             mujoco.mjr_readPixels(self._buffer, None, self._viewport, self._target)
-        return self._buffer[::-1].copy()  # OpenGL's first row is the lowest
+        return self._buffer[::-1].copy()  # OpenGL's first row is the lowest row
 
     def _light(self) -> None:
-        """One sun behind the camera's shoulder: the models disagree on lamps, and each lamp costs."""
+        """Sets one directional light beside the camera. The lights of the models differ, and each light costs time."""
         self._scene.nlight = 1
         light = self._scene.lights[0]
         light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
@@ -73,13 +73,13 @@ def _options() -> mujoco.MjvOption:
 
 
 def drawn_meshes(model: mujoco.MjModel) -> set[int]:
-    """Indices of the meshes that a picture shows."""
+    """Indices of the rendered meshes."""
     meshes = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_group == _SHOWN)
     return set(model.geom_dataid[meshes].tolist())
 
 
 _TARGETS: dict[tuple[str, int], mujoco.MjrContext] = {}
-"""Framebuffer and meshes by content of the meshes and size: tasks on the same hand share one."""
+"""(digest of the meshes, size) -> framebuffer and meshes. Tasks with the same hand share one entry."""
 
 
 def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
@@ -105,7 +105,7 @@ def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
 
 
 def _free() -> None:
-    """OpenGL objects go before their context, whose own exit handler is older and so runs after this one."""
+    """Frees OpenGL objects before their context, whose exit handler was registered earlier and runs later."""
     with gl.context().as_current():
         while _TARGETS:
             _TARGETS.popitem()[1].free()

@@ -1,7 +1,7 @@
-"""An Allegro right hand of boxes and capsules, on a wrist that six servos move.
+"""An Allegro right hand of boxes and capsules, on a wrist with six servos.
 
-The palm's frame: +z along the fingers, +x out of the palm, +y to the index finger's side. Lengths, masses and limits
-are those of the real hand.
+Frame of the palm: +z along the fingers, +x out of the palm, +y to the side of the index finger. Lengths, masses and
+limits are those of the real hand.
 """
 
 from dataclasses import dataclass
@@ -14,27 +14,27 @@ Vector = tuple[float, ...]
 JOINTS = tuple(f"wrist_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")) + tuple(
     f"{finger}_{i}" for finger in ("index", "middle", "ring", "thumb") for i in range(4)
 )
-"""Order of the 22 joints in `proprio`, and of the actuators."""
+"""Order of the 22 joints in `proprio`, and of the 22 actuators."""
 TIPS = ("index_tip", "middle_tip", "ring_tip", "thumb_tip")
 """Sites at the centres of the fingertips."""
 STRIDE = np.array([0.008] * 3 + [0.03] * 3)
-"""Metres and radians by which a wrist target moves in a control step."""
+"""(6,) largest change of the wrist targets in one control step, m and rad."""
 FINGER_STRIDE = 0.08
-"""Of a finger joint's range."""
+"""Largest change of a finger target in one control step, in shares of the joint's range."""
 SHELL, LINK, TIP = (0.34, 0.36, 0.42, 1.0), (0.50, 0.52, 0.57, 1.0), (0.95, 0.93, 0.86, 1.0)
 
 
 @dataclass(frozen=True)
 class Link:
-    """A joint, and the box that it moves."""
+    """A joint and the box that it moves."""
 
     at: Vector
     """Place of the joint in the frame of the link before it, metres."""
     axis: Vector
     limits: tuple[float, float]
-    """rad"""
+    """Range of the joint, rad."""
     half: Vector
-    """Half sizes of the box, metres."""
+    """Half sizes of the box, metres. `centre`: its centre in the frame of the joint, metres."""
     centre: Vector
     mass: float
     """kg"""
@@ -42,11 +42,11 @@ class Link:
 
 
 X, Y, Z = (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-"""The thumb turns about -x."""
+"""Axes of the joints. The thumb's first joint turns about -x."""
 
 
 def _finger(at: Vector, roll: float) -> tuple[Link, ...]:
-    """Roll in rad, about x."""
+    """Links of a finger at `at`, metres, rolled by `roll` rad about x."""
     tilt = (float(np.cos(roll / 2)), float(np.sin(roll / 2)), 0.0, 0.0)
     return (
         Link(at, Z, (-0.47, 0.47), (0.0098, 0.01375, 0.0082), (0, 0, 0.0082), 0.0119, tilt),
@@ -61,8 +61,8 @@ FINGERS: dict[str, tuple[Link, ...]] = {
     "middle": _finger((0, 0, 0.0007), 0.0),
     "ring": _finger((0, -0.0435, -0.001542), 0.08727),
     "thumb": (
-        Link((-0.0182, 0.019333, -0.045987), X, (0.263, 1.396), (0.0179, 0.017, 0.02275), (-0.0179, 0.009, 0.0145), 0.0176,
-             (0.477714, -0.521334, -0.521334, -0.477714)),
+        Link((-0.0182, 0.019333, -0.045987), X, (0.263, 1.396), (0.0179, 0.017, 0.02275), (-0.0179, 0.009, 0.0145),
+             0.0176, (0.477714, -0.521334, -0.521334, -0.477714)),
         Link((-0.027, 0.005, 0.0399), Z, (-0.105, 1.163), (0.0098, 0.01375, 0.00885), (0, 0, 0.00885), 0.0119),
         Link((0, 0, 0.0177), Y, (-0.189, 1.644), (0.0098, 0.01375, 0.0257), (0, 0, 0.0257), 0.038),
         Link((0, 0, 0.0514), Y, (-0.162, 1.719), (0.0098, 0.01375, 0.0157), (0, 0, 0.0157), 0.0388),
@@ -70,15 +70,15 @@ FINGERS: dict[str, tuple[Link, ...]] = {
 }  # fmt: skip
 TIP_RADIUS, TIP_MASS = 0.012, 0.0168
 FINGER_TIP = (0.0267, 0.019, 0.010)
-"""Along the last link: centre of the tip, centre of its capsule, half its length."""
+"""Along the last link, metres: centre of the tip, centre of its capsule, half length of the capsule."""
 THUMB_TIP = (0.0423, 0.035, 0.008)
 
 
 def add_hand(spec: mujoco.MjSpec, pos: Vector, quat: Vector, travel: np.ndarray) -> None:
-    """Add the hand, with its palm at `pos` and `quat` where all wrist joints are zero.
+    """Adds the hand. At wrist joints of zero the palm is at `pos`, metres, with orientation `quat`.
 
-    The wrist slides along the world's axes, then turns about the palm's own. `travel` (6, 2): least and greatest
-    position of the wrist's joints, metres and radians.
+    The wrist slides along the world's axes, then turns about the palm's axes. travel: (6, 2) ranges of the wrist
+    joints, m and rad.
     """
     palm = spec.worldbody.add_body(name="palm", pos=pos, quat=quat, gravcomp=1)
     to_palm = np.zeros(9)
@@ -113,7 +113,7 @@ def add_hand(spec: mujoco.MjSpec, pos: Vector, quat: Vector, travel: np.ndarray)
 
 
 def stride(model: mujoco.MjModel) -> np.ndarray:
-    """(22,) by how much an action of 1 moves each target, metres and radians."""
+    """(22,) change of each target by an action of 1, m and rad."""
     ranges = np.diff(model.actuator_ctrlrange[len(STRIDE) : len(JOINTS)]).ravel()
     return np.concatenate([STRIDE, FINGER_STRIDE * ranges])
 
@@ -123,7 +123,7 @@ def _box(body, name: str, half: Vector, centre: Vector, mass: float, rgba: Vecto
 
 
 def _servo(spec: mujoco.MjSpec, joint: str, limits, kp: float, kv: float, force: float) -> None:
-    """Position servo: N/m and N s/m, or N m/rad and N m s/rad; greatest force N or N m."""
+    """Adds a position servo. kp in N/m or N m/rad, kv in N s/m or N m s/rad, force (largest) in N or N m."""
     servo = spec.add_actuator(
         name=joint,
         target=joint,

@@ -1,8 +1,8 @@
 """Two Shadow Hands with floating bases: the robot of the BiDex suite.
 
-The hand's own description and meshes come from the gymnasium-robotics package, which is only read, never
-imported. Both are right hands, as in Bi-DexHands. A base has three slides along the world's axes and three
-hinges at the palm; the fingers have 20 motors, the four outermost joints following their neighbours by tendons.
+Description and meshes of the hand are files of the gymnasium-robotics package, which is not imported. Both are right
+hands, as in Bi-DexHands. A base has three slides along the world's axes and three hinges at the palm. A hand has 20
+motors; tendons couple the four outermost joints to their neighbours.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ import numpy as np
 from acgd.tasks.scene import Robot, rest
 
 SIDES = ("right", "left")
-"""Order of the hands in actions and observations, and the prefix of their names."""
+"""Order of the hands in actions and observations, and prefixes of their names."""
 BASE = ("x", "y", "z", "roll", "pitch", "yaw")
 FINGERS = ("ff", "mf", "rf", "lf", "th")
-"""Index to little finger, thumb: order of fingertips."""
+"""Order of fingertips: index to little finger, thumb."""
 
 JOINTS = (
     *BASE, "WRJ1", "WRJ0",
@@ -28,40 +28,41 @@ JOINTS = (
 """Order of a hand's 30 joints in `proprio`."""
 _SLIDES = [*range(3), *range(len(JOINTS), len(JOINTS) + 3)]
 COUPLED = [i for i, name in enumerate(JOINTS) if name.endswith("J0") and name[:2] not in ("WR", "TH")]
-"""Indices of the outermost joints, which follow the one before them."""
+"""Indices of the outermost joints, which tendons couple to the joint before."""
 MOTORS = tuple(name for i, name in enumerate(JOINTS) if i not in COUPLED)
 """Order of a hand's 26 motors in actions."""
 BASE_SLIDE, BASE_TURN, FINGER_TURN = 0.008, 0.03, 0.08
-"""By how much an action of 1 moves a target in a control step: metres, radians, part of the joint's range."""
+"""Change of a target by an action of 1 in one control step: metres, radians, share of the joint's range."""
 START_SLIDE, START_NOISE = 0.015, 0.05
-"""Noise of a start, uniform: a base's place in metres, all angles in parts of their range."""
+"""Uniform noise of a start: place of a base in metres, all angles in shares of their range."""
 
 TIP = (0.0, 0.0, 0.02)
-"""Where a fingertip is in its last link, metres, as Bi-DexHands defines it."""
+"""Place of a fingertip in its last link, metres, as in Bi-DexHands."""
 PALM = (0.0, -0.02, 0.08)
-"""Where the middle of the palm is in its link, metres."""
+"""Place of the palm's middle in its link, metres."""
 OBJECT = {"contype": 2, "conaffinity": 1}
 TABLE = {"contype": 0, "conaffinity": 3}
-"""What touches what: hands (contype 1, conaffinity 0) and objects touch the table and each other, but never their like."""
+"""Contacts: hands (contype 1, conaffinity 0) and objects collide with the table and with each other. Hands do not
+collide with hands, nor objects with objects."""
 _PALM_IN_MOUNT = (0.0, 0.01, 0.29)
 _SLIDE = {"reach": 0.25, "kp": 1500.0, "kv": 80.0, "force": 150.0, "armature": 0.5}
 _HINGE = {"reach": 0.6, "kp": 60.0, "kv": 3.0, "force": 20.0, "armature": 0.02}
-"""A base's motors; the reach is either way, metres and radians."""
+"""Motors of a base. reach: largest deflection in both directions, m and rad."""
 
 
 @dataclass(frozen=True)
 class HandPlace:
-    """Where a hand is when the six joints of its base are zero."""
+    """Pose of a hand at base joints of zero."""
 
     palm: tuple[float, float, float]
-    """The palm link's origin in the world, metres."""
+    """Origin of the palm's link in the world, metres."""
     fingers: tuple[float, float, float]
     """Unit vector along the outstretched fingers, in the world."""
     back: tuple[float, float, float]
     """Unit vector out of the back of the hand, in the world."""
 
     def quat(self) -> np.ndarray:
-        """(w, x, y, z) of the hand's frame: x to the thumb's side, y out of the back, z along the fingers."""
+        """Quaternion (4,) of the hand's frame: x to the thumb's side, y out of the back, z along the fingers."""
         y, z = np.asarray(self.back, float), np.asarray(self.fingers, float)
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, np.stack([np.cross(y, z), y, z], axis=1).ravel())
@@ -69,7 +70,7 @@ class HandPlace:
 
 
 def hand_file() -> Path:
-    """The Shadow Hand's MJCF in the installed gymnasium-robotics."""
+    """The Shadow Hand's MJCF file in the installed gymnasium-robotics. FileNotFoundError without it."""
     package = find_spec("gymnasium_robotics")
     folder = package.submodule_search_locations[0] if package else "gymnasium_robotics"
     file = Path(folder, "envs/assets/hand/reach.xml")
@@ -82,7 +83,7 @@ def hand_file() -> Path:
 
 
 def new_spec() -> mujoco.MjSpec:
-    """An empty scene that hands can be added to."""
+    """An empty scene with the settings of the hands."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     _same_settings(spec)
@@ -90,7 +91,7 @@ def new_spec() -> mujoco.MjSpec:
 
 
 def add_table(spec: mujoco.MjSpec, half_size: tuple[float, float], height: float) -> None:
-    """A table in the middle of the world, its top `height` metres up."""
+    """Adds a table at the world's origin. half_size: of its top, metres. height: of its top, metres."""
     half = height / 2.0
     spec.worldbody.add_geom(
         name="table",
@@ -103,7 +104,7 @@ def add_table(spec: mujoco.MjSpec, half_size: tuple[float, float], height: float
 
 
 def add_hands(spec: mujoco.MjSpec, right: HandPlace, left: HandPlace) -> None:
-    """Put both hands into a scene begun with `new_spec`."""
+    """Adds both hands to a scene of `new_spec`."""
     file = str(hand_file())
     for side, place in zip(SIDES, (right, left)):
         base = spec.worldbody.add_body(name=f"{side}/base", pos=place.palm, gravcomp=1.0)
@@ -130,39 +131,39 @@ def _add_base_joint(spec: mujoco.MjSpec, base, name: str, i: int) -> None:
 
 
 def _load_hand(file: str) -> mujoco.MjSpec:
-    """A hand alone, without its sensors, the tendons that only measure, and its place in its own scene."""
+    """The spec of one hand, without sensors, measuring tendons, and the placement of its file."""
     hand = mujoco.MjSpec.from_file(file)
     _same_settings(hand)
     for sensor in list(hand.sensors):
         hand.delete(sensor)
     for tendon in list(hand.tendons):
-        if not tendon.name.endswith("J1c"):  # those couple a finger's last joint to the one before it
+        if not tendon.name.endswith("J1c"):  # J1c tendons couple a finger's last joint to the joint before it
             hand.delete(tendon)
     for finger in FINGERS:
         hand.body(f"robot0:{finger}distal").add_site(name=f"tip/{finger}", pos=TIP, group=5)
     hand.body("robot0:palm").add_site(name="palm", pos=PALM, group=5)
     mount = hand.body("robot0:hand mount")
     mount.pos, mount.quat = (0, 0, 0), (1, 0, 0, 0)
-    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # its Euler angles would override the quaternion
+    mount.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # the Euler angles would override the quaternion
     for body in hand.bodies:
         body.gravcomp = 1.0
         for joint in body.joints:
             joint.frictionloss = 0.0
         for geom in body.geoms:
             if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.contype == 0:
-                geom.group = 0  # drawn
+                geom.group = 0  # the rendered group
     return hand
 
 
 def _same_settings(spec: mujoco.MjSpec) -> None:
-    """What must agree before specs are merged: MuJoCo warns of differences, and takes the smaller time step."""
+    """Sets options that must agree between merged specs. MuJoCo otherwise takes the smaller time step."""
     spec.option.timestep, spec.option.iterations = 0.005, 20
     spec.njmax = spec.nconmax = -1
     spec.nuser_jnt = spec.nuser_site = spec.nuser_tendon = spec.nuser_sensor = spec.nuser_actuator = -1
 
 
 class Hands:
-    """Both hands of a compiled scene: where they are, and where they start."""
+    """Both hands of a compiled scene: their places and their starts."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -175,10 +176,10 @@ class Hands:
         self._tips = np.array([[model.site(f"{side}/tip/{finger}").id for finger in FINGERS] for side in SIDES])
         self._palms = np.array([model.site(f"{side}/palm").id for side in SIDES])
         self.geoms = {side: _geoms(model, f"{side}/") for side in SIDES}
-        """(ngeom,) bool by side."""
+        """Side -> (ngeom,) bool, geoms of the hand."""
 
     def tips(self, data: mujoco.MjData) -> np.ndarray:
-        """Fingertips (2, 5, 3) in the world, metres, in the order of SIDES and FINGERS."""
+        """Fingertips (2, 5, 3) in the world, metres, ordered as SIDES and FINGERS."""
         return data.site_xpos[self._tips]
 
     def palms(self, data: mujoco.MjData) -> np.ndarray:
@@ -193,9 +194,10 @@ class Hands:
         rng: np.random.Generator | None,
         holding: str | None = None,
     ) -> None:
-        """Write a start into `data`: the named joints where they are told, the others at zero, with noise if there is `rng`.
+        """Writes a start into `data`, and computes its kinematics.
 
-        Of the hand that is `holding` something only the base gets noise. The kinematics are up to date afterwards.
+        right, left: joint -> position, m or rad; other joints are 0. rng: source of noise; None for none. holding: the
+        hand that holds an object; only its base gets noise.
         """
         pose = np.array([joints.get(name, 0.0) for joints in (right, left) for name in JOINTS])
         if rng is not None:
@@ -217,6 +219,6 @@ def _geoms(model: mujoco.MjModel, prefix: str) -> np.ndarray:
 
 
 def distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(...,) metres from points (..., 3) to places that broadcast against them."""
+    """Distances (...,) in metres from points (..., 3) to places, which broadcast against the points."""
     away = points - place
     return np.sqrt(np.einsum("...i,...i", away, away))

@@ -1,4 +1,4 @@
-"""Any vision model of `transformers` from a local folder, as `save_pretrained` writes it. Nothing is downloaded."""
+"""A vision model of `transformers`, loaded from a local folder that `save_pretrained` wrote. Downloads nothing."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from acgd.vision.pretrained import IMAGENET_MEAN, IMAGENET_STD, Preprocess
 
 
 class HuggingFace(nn.Module):
-    """Images (B, H, W, 3) uint8 -> (B, dim): the model's pooled output, else the mean of its tokens or feature map."""
+    """Images (B, H, W, 3) uint8 -> (B, dim): the model's pooled output, or the mean of its tokens or feature map."""
 
     def __init__(self, model: nn.Module, size: int, mean: list[float], std: list[float]) -> None:
         super().__init__()
@@ -32,7 +32,10 @@ class HuggingFace(nn.Module):
 
     @classmethod
     def make(cls, settings: HuggingFaceConfig, inputs: Inputs, ctx: Context) -> None:
-        """Copy the vision part: backbone.safetensors, and backbone.json with the model's configuration."""
+        """Copies the vision part: writes backbone.safetensors, and backbone.json with the model's configuration.
+
+        Raises ValueError where the folder has no model with safetensors weights.
+        """
         from transformers import AutoModel
 
         path = settings.path
@@ -52,13 +55,13 @@ class HuggingFace(nn.Module):
             "std": std,
             "model": {**model.config.to_diff_dict(), "model_type": model.config.model_type},
         }
-        cls(model, settings.size, mean, std)  # a model that cannot see images of this size fails here
+        cls(model, settings.size, mean, std)  # raises an error where the model cannot read images of this size
         save_file({k: v.contiguous().clone() for k, v in model.state_dict().items()}, ctx.out / "backbone.safetensors")
         (ctx.out / "backbone.json").write_text(json.dumps(meta, indent=1, sort_keys=True) + "\n")
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """What `make` wrote."""
+        """Loads the files of `make`."""
         from transformers import AutoConfig, AutoModel
 
         meta = json.loads((folder / "backbone.json").read_text())
@@ -69,12 +72,12 @@ class HuggingFace(nn.Module):
 
 
 def _vision_part(model: nn.Module) -> nn.Module:
-    """The tower that sees, of a model that also reads."""
+    """The vision tower of a model with vision and language, else the model."""
     return getattr(model, "vision_model", model)
 
 
 def _statistics(path: Path) -> tuple[list[float], list[float]]:
-    """Mean and standard deviation of preprocessor_config.json; ImageNet's where it says nothing."""
+    """Channel means and standard deviations of preprocessor_config.json; by default those of ImageNet."""
     file = path / "preprocessor_config.json"
     stored = json.loads(file.read_text()) if file.is_file() else {}
     return stored.get("image_mean", list(IMAGENET_MEAN)), stored.get("image_std", list(IMAGENET_STD))

@@ -15,15 +15,15 @@ class HuggingFaceConfig(Section):
     gives_features: ClassVar[bool] = True
 
     kind: Literal["huggingface"] = "huggingface"
-    path: Path | None = Field(None, description="A folder with config.json and *.safetensors. Required.")
+    path: Path | None = Field(None, description="Folder with config.json and *.safetensors. Required.")
     size: int = Field(224, ge=16, description="Images are resized to this many pixels a side.")
 
     @model_validator(mode="after")
     def _model_exists(self) -> "HuggingFaceConfig":
         if self.path is None or not (self.path / "config.json").is_file():
-            state = "nothing is set" if self.path is None else f"there is none at {self.path}"
+            fault = "no path is set" if self.path is None else f"{self.path} has no config.json"
             raise ValueError(
-                "backbone.kind is huggingface: set backbone.path to a local folder with config.json and *.safetensors, "
-                f"as save_pretrained writes it; {state}"
+                f"{fault}, and backbone.kind is huggingface: set backbone.path to a local folder with config.json and "
+                "*.safetensors, as save_pretrained writes it."
             )
         return self

@@ -1,7 +1,7 @@
-"""A small CNN that regresses object and goal from training frames, and is then frozen.
+"""A small CNN that is trained to regress object and goal from frames, and is then frozen.
 
-The asymmetric idea applied to vision: the privileged state is the teacher, and at test time only the image is read.
-Episodes held out for validation are no part of the training.
+The privileged state supervises the training. The trained network reads the image only. The held-out validation episodes
+take no part in the training.
 """
 
 import json
@@ -23,13 +23,13 @@ from acgd.vision.privileged.frames import Frames
 from acgd.vision.privileged.settings import PrivilegedConfig
 
 WARM_UP = 50
-"""Steps over which the learning rate rises."""
+"""Steps of linear warm-up."""
 LOG_EVERY = 50
 VALIDATE_EVERY = 500
 
 
 class Privileged(nn.Module):
-    """SmallCNN and one linear head per task. Its features are the outputs of CNN and heads, in standard deviations."""
+    """SmallCNN and one linear head per task. The features are the outputs of the CNN and of all heads."""
 
     def __init__(self, dim: int, targets: list[int]) -> None:
         super().__init__()
@@ -43,13 +43,13 @@ class Privileged(nn.Module):
         return torch.cat([trunk, *(head(trunk) for head in self.heads)], 1)
 
     def loss(self, images: Tensor, moved: Tensor | None, targets: list[Tensor]) -> Tensor:
-        """Smooth L1 per task, averaged. Images (K * n, H, W, 3), task by task; targets K times (n, D_k)."""
+        """Mean over tasks of the smooth L1 loss. Images (K * n, H, W, 3), task by task; K targets, each (n, D_k)."""
         parts = self.cnn(images, moved).float().chunk(len(targets))
         return torch.stack([F.smooth_l1_loss(h(x), y, beta=0.5) for h, x, y in zip(self.heads, parts, targets)]).mean()
 
     @classmethod
     def make(cls, settings: PrivilegedConfig, inputs: Inputs, ctx: Context) -> None:
-        """Train, or go on from the checkpoint; write backbone.safetensors and backbone.json."""
+        """Trains the network, or resumes from the checkpoint. Writes backbone.safetensors and backbone.json."""
         frames = [Frames.load(path, settings.frames, ctx.device) for path in inputs["rollouts"]]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
@@ -61,7 +61,7 @@ class Privileged(nn.Module):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """What `make` wrote."""
+        """Loads the files of `make`."""
         meta = json.loads((folder / "backbone.json").read_text())
         weights = load_file(folder / "backbone.safetensors")
         backbone = cls(meta["dim"], [weights[f"heads.{k}.bias"].shape[0] for k in range(len(meta["tasks"]))])
@@ -99,7 +99,7 @@ def _step(
     step: int,
     generator: torch.Generator,
 ) -> Tensor:
-    """One update; `step` counts from 1."""
+    """One update -> loss (). `step` counts from 1."""
     backbone.train()
     rate = (
         settings.learning_rate * min(1.0, step / WARM_UP) * 0.5 * (1 + math.cos(math.pi * (step - 1) / settings.steps))
@@ -127,10 +127,10 @@ def _step(
 
 @torch.no_grad()
 def validate(backbone: Privileged, frames: list[Frames]) -> dict[str, dict]:
-    """Task -> target -> R^2 on the held-out episodes, and root mean square error in the target's own unit.
+    """Task -> target -> R^2 and root mean square error (m or rad) on the held-out episodes.
 
-    R^2 is the share explained of the variance over the training frames: that over a handful of held-out
-    episodes says little about a goal, which is constant within each.
+    R^2 is relative to the variance over the training frames. A goal is constant within an episode, so its variance over
+    few held-out episodes is unreliable.
     """
     backbone.eval()
     scores = {}
@@ -145,5 +145,5 @@ def validate(backbone: Privileged, frames: list[Frames]) -> dict[str, dict]:
 
 
 def _curves(scores: dict[str, dict]) -> dict[str, float]:
-    """`r2/<task>/<target>` -> R^2."""
+    """`r2/<task>/<target>` -> R^2, for metrics.jsonl."""
     return {f"r2/{task}/{name}": score["r2"] for task, targets in scores.items() for name, score in targets.items()}

@@ -1,7 +1,7 @@
 """R3M (Nair et al. 2022), the paper's backbone: a ResNet whose weights are in a file that the user names.
 
-The published checkpoint is a pickle, {"r3m": {"module.convnet.<name>": tensor, ...}}. It is read once, with
-weights_only, and its ResNet kept as safetensors in the artifact; the language part is left out.
+The published checkpoint is a pickle, {"r3m": {"module.convnet.<name>": tensor, ...}}. The stage reads it once, with
+weights_only, and writes its ResNet as safetensors. The language part is left out.
 """
 
 import json
@@ -36,7 +36,10 @@ class R3M(nn.Module):
 
     @classmethod
     def make(cls, settings: R3MConfig, inputs: Inputs, ctx: Context) -> None:
-        """Convert the checkpoint; write backbone.safetensors, and backbone.json with the checkpoint's SHA-256."""
+        """Converts the checkpoint: writes backbone.safetensors, and backbone.json with the checkpoint's SHA-256.
+
+        Raises ValueError where the file is no R3M checkpoint.
+        """
         path, size = settings.path, settings.size
         weights = read_checkpoint(path)
         backbone = cls(depth_of(weights, path), size)
@@ -44,7 +47,7 @@ class R3M(nn.Module):
         if missing or unexpected:
             raise ValueError(
                 f"{path} is no R3M checkpoint: missing {missing[:3]}, unexpected {unexpected[:3]}. "
-                "Name the published model.pt."
+                "Set backbone.path to the published model.pt."
             )
         save_file({k: v.contiguous() for k, v in backbone.state_dict().items()}, ctx.out / "backbone.safetensors")
         meta = {"kind": "r3m", "depth": depth_of(weights, path), "size": size, "source_sha256": file_digest(path)}
@@ -52,7 +55,7 @@ class R3M(nn.Module):
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """What `make` wrote."""
+        """Loads the files of `make`."""
         meta = json.loads((folder / "backbone.json").read_text())
         backbone = cls(meta["depth"], meta["size"])
         backbone.load_state_dict(load_file(folder / "backbone.safetensors"))
@@ -60,20 +63,23 @@ class R3M(nn.Module):
 
 
 def read_checkpoint(path: Path) -> dict[str, Tensor]:
-    """The ResNet's tensors by its own names. The file is unpickled into tensors and plain containers only."""
+    """Name -> tensor of the ResNet. torch unpickles tensors and plain containers only.
+
+    Raises ValueError where the file is no R3M checkpoint.
+    """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         tensors = content["r3m"]
     except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
         raise ValueError(
             f"{path} is no R3M checkpoint ({type(error).__name__}: {error}). "
-            "Name the published model.pt in backbone.path."
+            "Set backbone.path to the published model.pt."
         ) from error
     return {name.removeprefix(PREFIX): value for name, value in tensors.items() if name.startswith(PREFIX)}
 
 
 def depth_of(weights: dict[str, Tensor], path: Path) -> int:
-    """18, 34 or 50, from the blocks that the checkpoint holds."""
+    """Depth 18, 34 or 50, from the number of blocks. Raises ValueError for any other network."""
     blocks = tuple(len({name.split(".")[1] for name in weights if name.startswith(f"layer{i}.")}) for i in range(1, 5))
     bottleneck = "layer1.0.conv3.weight" in weights
     for depth, expected in DEPTHS.items():
@@ -81,5 +87,5 @@ def depth_of(weights: dict[str, Tensor], path: Path) -> int:
             return depth
     raise ValueError(
         f"{path} holds no ResNet-18, -34 or -50 under {PREFIX}: its layers have {blocks} blocks. "
-        "Name the published model.pt."
+        "Set backbone.path to the published model.pt."
     )

@@ -1,4 +1,4 @@
-"""ResNet-18, -34 and -50 (He et al. 2015, stride in the 3 x 3 convolution) with the parameter names of checkpoints."""
+"""ResNet-18, -34 and -50 (He et al. 2015, stride in the 3 x 3 convolution). Parameters have torchvision's names."""
 
 import torch
 from torch import Tensor, nn

@@ -15,12 +15,12 @@ class R3MConfig(Section):
     gives_features: ClassVar[bool] = True
 
     kind: Literal["r3m"] = "r3m"
-    path: Path | None = Field(None, description="The checkpoint (model.pt). Required.")
+    path: Path | None = Field(None, description="Checkpoint (model.pt). Required.")
     size: int = Field(224, ge=16, description="Images are resized to this many pixels a side.")
 
     @model_validator(mode="after")
     def _checkpoint_exists(self) -> "R3MConfig":
         if self.path is None or not self.path.is_file():
-            state = "nothing is set" if self.path is None else f"there is none at {self.path}"
-            raise ValueError(f"backbone.kind is r3m: set backbone.path to the checkpoint (model.pt); {state}")
+            fault = "no path is set" if self.path is None else f"there is no file {self.path}"
+            raise ValueError(f"{fault}, and backbone.kind is r3m: set backbone.path to the checkpoint (model.pt).")
         return self

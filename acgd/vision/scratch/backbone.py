@@ -1,4 +1,4 @@
-"""No frozen backbone: the student owns a SmallCNN and trains it with everything else."""
+"""No frozen backbone: the student contains a SmallCNN that is trained with the rest of the student."""
 
 import json
 from pathlib import Path
@@ -9,17 +9,17 @@ from acgd.vision.scratch.settings import ScratchConfig
 
 
 class Scratch:
-    """The artifact of this kind holds the width of the student's CNN, and no network."""
+    """The artifact holds the width of the student's CNN and no network."""
 
     @classmethod
     def make(cls, settings: ScratchConfig, inputs: Inputs, ctx: Context) -> None:
-        """Write backbone.json."""
+        """Writes backbone.json."""
         meta = {"kind": "scratch", "dim": settings.dim}
         (ctx.out / "backbone.json").write_text(json.dumps(meta, sort_keys=True) + "\n")
 
     @classmethod
     def load(cls, folder: Path) -> NoReturn:
-        """There is nothing to load."""
+        """Raises ValueError: the kind has no network."""
         raise ValueError(
-            f"{folder} is of kind scratch: its CNN is part of the student, read images instead of features"
+            f"{folder} is of kind scratch and has no network: its CNN is part of the student. Read images."
         )

@@ -8,7 +8,7 @@ from acgd.settings import Section
 
 
 class ScratchConfig(Section):
-    """No frozen backbone: the same small CNN, trained with the student."""
+    """No frozen backbone: the student contains a small CNN that is trained with it."""
 
     needs: ClassVar[tuple[str, ...]] = ()
     gives_features: ClassVar[bool] = False

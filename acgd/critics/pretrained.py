@@ -1,4 +1,4 @@
-"""Critics that are there already: in zoo/, or beside the policy of an off-policy expert."""
+"""Critic sources `zoo` and `expert`: critics that exist already, in zoo/ or beside an off-policy expert's policy."""
 
 import json
 import shutil
@@ -18,7 +18,7 @@ from acgd.tasks.spec import TASKS
 
 
 def from_zoo(request: CriticRequest, expert: Path, ctx: Context) -> None:
-    """Copies the critic in zoo/. Raises ValueError where it was fitted to another expert than `expert`."""
+    """Copies the critic in zoo/. ValueError where that critic was fitted to another expert than `expert`."""
     weights, meta = zoo.fitted_critic(request.task.name)
     if json.loads(meta.read_text())["expert_sha256"] != file_digest(expert / zoo.POLICY[0]):
         raise ValueError(
@@ -30,10 +30,9 @@ def from_zoo(request: CriticRequest, expert: Path, ctx: Context) -> None:
 
 
 def from_expert(request: CriticRequest, expert: Path, ctx: Context) -> None:
-    """Takes the critics of an off-policy expert, and measures their spread. Their Q holds the entropy bonus of its
-    training.
+    """Copies the critics of an off-policy expert, and measures their spread.
 
-    Raises ValueError where the expert has none.
+    Their Q includes the entropy bonus of SAC. ValueError where the expert has no critics.
     """
     if not (expert / WEIGHTS).is_file():
         raise ValueError(
