@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from acgd.tasks.cameras import CAMERAS
 
 from acgd.tasks import registry
 from acgd.tasks.dexterous import DexterousTask
-from acgd.tasks.rendering import Renderer
+from acgd.tasks.rendering.renderer import Renderer
 from benchmarks.row import Row
 
 TASKS = tuple(name for name, spec in registry.TASKS.items() if spec.suite in ("bidex", "opdex"))
@@ -42,7 +41,7 @@ def _measure(task: str) -> list[Row]:
     env = registry.make(task, image_size=None)
     required_rate = LEAST_STEPS[env.task.suite]
     steps = _rate(_stepper(env, np.random.default_rng(0)), TIMED)
-    renderer = Renderer(env.model, camera=CAMERAS[env.task.kind], size=SIZE)
+    renderer = Renderer(env.model, camera=env.task.code().CAMERA, size=SIZE)
     frames = _rate(lambda: renderer.render(env.data), FRAMES)
     faults, growth = _soundness(env)
     solved = sum(_episode(env, seed) for seed in range(EPISODES))

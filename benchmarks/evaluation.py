@@ -5,19 +5,18 @@ import time
 
 import numpy as np
 import torch
-from acgd.students.codebook import Sizes
 
 from acgd.evaluation.settings import EvaluationConfig
 from acgd.simulate.lockstep import Lockstep
-from acgd.simulate.policy import Padded, Policy
+from acgd.simulate.policy import Policy
 from acgd.simulate.roll import Recorder, Step, roll
-from acgd.students.acting import Actor
-from acgd.students.load import ActorPolicy
-from acgd.students.settings import ActingConfig, CodebookConfig
-from acgd.students.student import Student
+from acgd.students.acgd.settings import ACGDConfig
+from acgd.students.load import new_student, policy_of
+from acgd.students.settings import ActingConfig, ImitationConfig
+from acgd.students.student import Sizes
 from acgd.tasks.settings import ImageConfig, TaskConfig
 from acgd.vision.cnn import SmallCNN
-from acgd.vision.settings import BackboneConfig
+from acgd.vision.privileged.settings import PrivilegedConfig
 from benchmarks.row import Row
 
 TASK = TaskConfig(name="myo/key-turn")
@@ -31,16 +30,15 @@ def run() -> list[Row]:
     size, pixels = EvaluationConfig().lockstep, ImageConfig().size
     blind, seeing = Lockstep(TASK, size, image_size=None), Lockstep(TASK, size, image_size=pixels)
     proprio, actions = (seeing.envs[0].observation_space["proprio"].shape[0], seeing.envs[0].action_space.shape[0])
-    features = BackboneConfig().dim
-    student = Student(CodebookConfig(), Sizes(features, proprio, actions, tasks=3, owns_cnn=False))
-    actor = Actor(student, SmallCNN(features).eval(), ActingConfig())
+    features = PrivilegedConfig().dim
+    sizes = Sizes(features, proprio, actions, tasks=3, owns_cnn=False)
+    student = new_student(ACGDConfig(), ImitationConfig(), sizes).eval()
+    acting = policy_of(student, SmallCNN(features).eval(), ActingConfig(), tasks=(TASK.name,), rows=size)
     still, goals = Still(actions), np.zeros((size, pixels, pixels, 3), np.uint8)
     rates = {
         "physics alone": _steps_per_s(blind, size, still),
         "with images": _steps_per_s(seeing, size, still),
-        f"with images and a student, {size} in lockstep": _steps_per_s(
-            seeing, size, Still(actions, Padded(ActorPolicy(actor), size)), goals
-        ),
+        f"with images and a student, {size} in lockstep": _steps_per_s(seeing, size, Still(actions, acting), goals),
     }
     physics = rates["physics alone"]
     return [

@@ -71,14 +71,14 @@ def run() -> list[Row]:
 
 
 def flops(step: Callable[[], None]) -> int:
-    """Operations of the matrix products of one step."""
+    """Floating-point operations of the matrix products of one step."""
     with FlopCounterMode(display=False) as counter:
         step()
     return counter.get_total_flops()
 
 
 def training_step(settings: Section, guided: bool) -> Callable[[], None]:
-    """A function that executes one optimiser step of stage (b), as `distil` does, at the size of the default study."""
+    """A function that executes one optimiser step of a student, as `distil` does, at the size of the default study."""
     imitation, training, by_critic = ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
     data = Data.of(_windows(), imitation, settings.chunk, settings.history, recurrent=settings.recurrent)
     if "codebook" in settings.needs:

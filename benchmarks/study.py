@@ -148,7 +148,7 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
         value=variant_jobs,
         unit="jobs",
         ratio=variant_jobs / artifacts,
-        target=f"{seeds} students and their evaluations, nothing upstream"
+        target=f"{seeds} students, their evaluations and clips, nothing upstream"
         f"{': but ' + str(other_jobs) if other_jobs else ''}",
         met=not other_jobs and variant_jobs == len(VARIANT_JOBS) * seeds,
     )
