@@ -133,7 +133,7 @@ def test_an_on_policy_episode_that_failed_has_its_commanded_goal(inputs):
 
 def test_a_student_that_owns_its_cnn_reads_one_frame(inputs, tmp_path):
     without = {"rollouts": inputs["rollouts"], "backbone": synthetic.backbone(tmp_path / "backbone")}
-    with pytest.raises(ValueError, match="set imitation.frames to 1"):
+    with pytest.raises(ValueError, match="Set imitation.frames to 1"):
         sizes_of(loaded(without, "bc", frames=2), without)
     data = loaded(without, "bc", goal="vector")
     assert (
@@ -145,7 +145,7 @@ def test_a_student_that_owns_its_cnn_reads_one_frame(inputs, tmp_path):
 @pytest.mark.parametrize(
     ("goal", "given", "mend"),
     [
-        ("vector", None, "give commanded goals"),
+        ("vector", None, "Give commanded goals"),
         ("vector", np.zeros((1, 4, 4, 3), np.uint8), "imitation.goal: vector"),
         ("any", np.zeros((1, 3), np.float32), "imitation.goal: any"),
     ],

@@ -101,8 +101,8 @@ def run(
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
     """Runs all seeds, batch by batch. Reads finished batches from `state` instead of running them again.
 
-    task: task id of the policy. goals: (E, ...) goals of the seeds, or a function that reads them. Returns the episodes in
-    the order of the seeds, and seed -> actions (steps, A).
+    task: task id of the policy. goals: (E, ...) goals of the seeds, or a function that reads them. Returns the
+    episodes in the order of the seeds, and seed -> actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)

@@ -60,7 +60,7 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
 
 
 def goals_of(request: EvaluationRequest, inputs: Inputs, index: int, start: TaskConfig, seeds: list[int]) -> Goals:
-    """Goals of a task's seeds: images (E, H, W, 3) uint8, commanded goals, or None. index: of the task in the request."""
+    """Goals of a task's seeds: images (E, H, W, 3) uint8, commanded goals, or None. index: the task's."""
     if request.condition.goal == "training":
         return training_goals(inputs["rollouts"][index], seeds)
     if request.condition.goal == "oracle":

@@ -24,8 +24,8 @@ class Observation:
     """The inputs of a student. They exclude the privileged state."""
 
     vision: Tensor
-    """(B, frames F) features of a frozen backbone, oldest frame first, or (B, H, W, 3) uint8 images for a student with a
-    CNN."""
+    """(B, frames F) features of a frozen backbone, oldest frame first, or (B, H, W, 3) uint8 images for a student with
+    a CNN."""
     goal: Tensor | None
     """Goal image o_T as features (B, F) or an image, or the commanded goal (B, G), zero-padded to the widest task's.
     None for a student without goals."""
@@ -57,8 +57,8 @@ class Data:
     """Windows over the rollouts of all tasks.
 
     Arrays of `windows.steps`: `vision`, `proprio`, `label`, `weight` and, for guidance, `state`. Array of
-    `windows.episodes`: `goal`. `vision` and `goal` are features, or images for a student with a CNN; with `imitation.goal:
-    vector` the goal is the commanded one.
+    `windows.episodes`: `goal`. `vision` and `goal` are features, or images for a student with a CNN; with
+    `imitation.goal: vector` the goal is the commanded one.
     """
 
     windows: Windows

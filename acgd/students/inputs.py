@@ -68,8 +68,8 @@ class StudentInputs(nn.Module):
         if self.uses_goal:
             if observation.goal is None:
                 raise ValueError(
-                    "the observation has no goal, and this student was trained with one. Give goals, or train a student "
-                    "with imitation.goal: off."
+                    "the observation has no goal, and this student was trained with one. Give goals, or train a "
+                    "student with imitation.goal: off."
                 )
             if self.commanded is None:
                 goal = features(observation.goal, 1)

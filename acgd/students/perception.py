@@ -44,7 +44,7 @@ class Perception:
         return Memory(self.policy.start(tasks, self._goals(goals), seeds))
 
     def act(self, observations: Observations, memory: Memory) -> tuple[np.ndarray, Memory]:
-        """observations: image (n, H, W, 3) uint8, proprio (n, P). The wrapped policy gets `vision` in place of image."""
+        """observations: image (n, H, W, 3) uint8, proprio (n, P). The inner policy gets `vision` for image."""
         newest, frames = self._vision(observations["image"]), self.imitation.frames
         vision, kept = newest, None
         if frames > 1:

@@ -30,8 +30,8 @@ class ImitationConfig(Section):
     goal: Literal["own", "any", "vector", "off"] = Field(
         "any",
         description="Goal in training. any: goal image o_T of any training episode of the task, for an evaluation with "
-        "goal `training`. own: goal image of the same episode (the paper), for goal `oracle`. vector: commanded goal of "
-        "the environment (docs/tasks.md). off: no goal.",
+        "goal `training`. own: goal image of the same episode (the paper), for goal `oracle`. vector: commanded goal "
+        "of the environment (docs/tasks.md). off: no goal.",
     )
     frames: int = Field(
         1, ge=1, description="Frames whose features the student reads: the current one and earlier ones, oldest first."
@@ -39,7 +39,7 @@ class ImitationConfig(Section):
     frame_stride: int = Field(
         1,
         ge=1,
-        description="Steps between two of these frames. The first frame of an episode repeats before its start.",
+        description="Steps between two of these frames. An episode's first frame repeats before its start.",
     )
 
 
