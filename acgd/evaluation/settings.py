@@ -18,8 +18,8 @@ class Condition(Section):
         "training",
         description="Goal. training: last frame of a demonstration of the task, chosen by the episode's seed; "
         "misleading where the goal varies. oracle: last frame of the expert's episode from the same seed, solved or "
-        "not. commanded: commanded goal of the environment. none: no goal. A student with imitation.goal `vector` always "
-        "gets `commanded`, one with `off` always `none`.",
+        "not. commanded: commanded goal of the environment. none: no goal. A student with imitation.goal `vector` "
+        "always gets `commanded`, one with `off` always `none`.",
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",
