@@ -34,8 +34,8 @@ MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """Rows of a matrix product; of an unguided and a guided step of acgd (two dueling critics of 128 units per task); of
-    an unguided step of every kind of student at the same width and batch.
+    """Rows of a matrix product; of an unguided and a guided step of acgd (two dueling critics of 128 units per task);
+    of an unguided step of every kind of student at the same width and batch.
 
     The calls take turns. Times are processor times, which other processes disturb less. The median counts.
     """
