@@ -12,9 +12,11 @@ from acgd.guidance.critic.guidance import CriticGuidance, step_weights
 from acgd.guidance.critic.settings import CriticGuidanceConfig
 from acgd.nn.q_ensemble import Critic
 from acgd.rollouts.windows import Windows
+from acgd.settings import Section, imported
 from acgd.store.precision import in_bfloat16
 from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.data import Data
+from acgd.students.kinds import STUDENTS
 from acgd.students.load import new_student
 from acgd.students.settings import ImitationConfig
 from acgd.students.student import Sizes
@@ -25,35 +27,36 @@ from benchmarks.row import Row
 TASKS, EPISODES, LENGTH = 3, 30, 100
 FEATURES, PROPRIO, STATE, ACTIONS = 64, 85, 110, 39
 STEPS, WARMUP = 30, 3
+WIDTH = 128
+"""Of every kind of student where kinds are compared."""
 GEMM = 1024
 MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """Rows of an unguided step, of a matrix product, and of a guided step (two dueling critics of 128 units per task).
+    """Rows of a matrix product; of an unguided and a guided step of acgd (two dueling critics of 128 units per task);
+    of an unguided step of every kind of student at the same width and batch.
 
-    The three calls take turns. Times are processor times, which other processes disturb less. The median counts.
+    The calls take turns. Times are processor times, which other processes disturb less. The median counts.
     """
     torch.set_num_threads(1)
     torch.manual_seed(0)
     a, b = torch.randn(GEMM, GEMM), torch.randn(GEMM, GEMM)
-    unguided, guided = (training_step(with_critic) for with_critic in (False, True))
-    with FlopCounterMode(display=False) as counter:
-        unguided()
-    flops = counter.get_total_flops()
-    gemm_s, imitation_s, guided_s = in_turn(lambda: a @ b, unguided, guided)
-    batch = TrainingConfig().batch
-    share = flops / imitation_s / (2 * GEMM**3 / gemm_s)
+    unguided, guided = (training_step(ACGDConfig(), with_critic) for with_critic in (False, True))
+    of_kind = {kind: training_step(imported(STUDENTS[kind].settings)(width=WIDTH), False) for kind in STUDENTS}
+    gemm_s, imitation_s, guided_s, *kinds_s = in_turn(lambda: a @ b, unguided, guided, *of_kind.values())
+    batch, gemm_rate = TrainingConfig().batch, 2 * GEMM**3 / gemm_s
+
+    def row_of(name: str, step: Callable[[], None], seconds: float) -> Row:
+        share = flops(step) / seconds / gemm_rate
+        target = "ratio: share of the GEMM rate reached"
+        return Row(
+            name=f"student/{name}", value=batch / seconds, unit="samples/s", ratio=share, target=target, met=None
+        )
+
     return [
-        Row(
-            name="student/imitation",
-            value=batch / imitation_s,
-            unit="samples/s",
-            ratio=share,
-            target="ratio: share of the GEMM rate reached",
-            met=None,
-        ),
-        Row(name="student/gemm", value=2 * GEMM**3 / gemm_s / 1e9, unit="GFLOP/s", ratio=None, target="", met=None),
+        row_of("imitation", unguided, imitation_s),
+        Row(name="student/gemm", value=gemm_rate / 1e9, unit="GFLOP/s", ratio=None, target="", met=None),
         Row(
             name="student/guidance",
             value=batch / guided_s,
@@ -62,15 +65,24 @@ def run() -> list[Row]:
             target=f"ratio: <= {MOST_GUIDANCE:.2f} times the cost of imitation alone",
             met=guided_s / imitation_s <= MOST_GUIDANCE,
         ),
+        *(row_of(f"of kind {kind}", step, seconds) for (kind, step), seconds in zip(of_kind.items(), kinds_s)),
     ]
 
 
-def training_step(guided: bool) -> Callable[[], None]:
-    """A function that executes one optimiser step of stage (b), as `distil` does, at the size of the default study."""
-    settings, imitation, training, by_critic = ACGDConfig(), ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
-    data = Data.of(_windows(), imitation, settings.chunk, settings.history)
-    codes = torch.randint(settings.codes, (len(data.windows.task), settings.groups))
-    data = data.with_targets({"codes": codes})
+def flops(step: Callable[[], None]) -> int:
+    """Floating-point operations of the matrix products of one step."""
+    with FlopCounterMode(display=False) as counter:
+        step()
+    return counter.get_total_flops()
+
+
+def training_step(settings: Section, guided: bool) -> Callable[[], None]:
+    """A function that executes one optimiser step of a student, as `distil` does, at the size of the default study."""
+    imitation, training, by_critic = ImitationConfig(), TrainingConfig(), CriticGuidanceConfig()
+    data = Data.of(_windows(), imitation, settings.chunk, settings.history, recurrent=settings.recurrent)
+    if "codebook" in settings.needs:
+        codes = torch.randint(settings.codes, (len(data.windows.task), settings.groups))
+        data = data.with_targets({"codes": codes})
     student = new_student(settings, imitation, Sizes(FEATURES, PROPRIO, ACTIONS, TASKS, owns_cnn=False))
     critics = [Critic(STATE, ACTIONS, members=2, width=128, dueling=True) for _ in range(TASKS)]
     guidance = CriticGuidance(

@@ -29,10 +29,13 @@ STUDENTS = {
         "encoder_layers": 1,
         "decoder_layers": 1,
     },
+    "act": {"kind": "act", "chunk": 4, "history": 3, "latent": 4, "width": 32, "heads": 2},
     "bc": {"kind": "bc", "width": 64},
+    "bc_rnn": {"kind": "bc_rnn", "sequence": 4, "width": 64, "modes": 3},
+    "chunk": {"kind": "chunk", "chunk": 4, "history": 3, "width": 32, "heads": 2},
 }
 """Tiny students, one of each kind."""
-TRAINING = {"bc": {"learning_rate": 1e-2}}
+TRAINING = {"bc": {"learning_rate": 1e-2}, "bc_rnn": {"learning_rate": 1e-2}}
 """Kinds that need other settings than the rest to learn the small dataset in a few steps."""
 GUIDANCE = {"none": {"kind": "none"}, "critic": {"kind": "critic"}}
 
@@ -60,6 +63,7 @@ def rollouts(
         "state": rng.normal(size=(len(t), state)).astype(np.float32),
         "mean_action": mean,
         "action": np.clip(mean + 0.1 * rng.normal(size=mean.shape), -1, 1).astype(np.float32),
+        "goal": rng.normal(size=(episodes, 2 + task)).astype(np.float32),
         "episode_ends": ends.astype(np.int64),
         "seed": np.arange(episodes, dtype=np.int64),
     }

@@ -65,6 +65,21 @@ MALFORMED = [
     pytest.param(
         {"backbone": {"kind": "r3m", "path": "no/model.pt"}}, ["backbone.path", "no/model.pt"], id="missing file"
     ),
+    pytest.param(
+        {"imitation": {"frames": 2}, "backbone": {"kind": "scratch"}},
+        ["imitation.frames", "scratch", "Set it to 1"],
+        id="earlier frames for a student's own CNN",
+    ),
+    pytest.param(
+        {"tasks": ["myo/key-turn"], "imitation": {"goal": "vector"}},
+        ["imitation.goal", "no task of the study", "Set it to any"],
+        id="no goal to command",
+    ),
+    pytest.param(
+        {"conditions": [{"goal": "commanded"}]},
+        ["conditions", "commanded", "imitation.goal: any", "training or oracle"],
+        id="a goal that the student cannot read",
+    ),
     pytest.param({"conditions": [{"goal": "x"}]}, ["conditions[0].goal", "oracle"], id="inside a list"),
     pytest.param(
         {"overrides": {"myo/reech": {}}},

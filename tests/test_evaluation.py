@@ -358,9 +358,9 @@ def test_a_shuffled_image_needs_another_episode():
 def test_only_goals_need_demonstrations_or_experts():
     used = {
         goal: [stage for stage in ("rollouts", "expert") if evaluation_request(Condition(goal=goal)).uses(stage)]
-        for goal in ("training", "oracle", "none")
+        for goal in ("training", "oracle", "commanded", "none")
     }
-    assert used == {"training": ["rollouts"], "oracle": ["expert"], "none": []}
+    assert used == {"training": ["rollouts"], "oracle": ["expert"], "commanded": [], "none": []}
     assert all(evaluation_request(Condition(goal=goal)).uses("student") for goal in used)
 
 
@@ -370,8 +370,12 @@ def untrained(folder: Path, owns_cnn: bool, history: int = 2, **imitation) -> Pa
     settings = ACGDConfig(chunk=4, history=history, groups=2, codes=4, width=16, heads=2)
     sizes = Sizes(features=16, proprio=85, actions=39, tasks=2, owns_cnn=owns_cnn)
     made = new_student(settings, ImitationConfig(**imitation), sizes)
+<<<<<<< HEAD
     weights = {"best": made.state_dict(), "last": made.state_dict()}
     save_student(made, folder, weights, {"tasks": [PEN.name, HOLD.name]})
+=======
+    save_student(made, folder, dict.fromkeys(("best", "last"), made.state_dict()), {"tasks": [PEN.name, HOLD.name]})
+>>>>>>> kinds
     return folder
 
 
@@ -393,10 +397,10 @@ def test_acting_gives_a_student_the_inputs_of_its_training(artifacts, tmp_path, 
         features.append(tmp_path / f"{at}")
     folder = tmp_path / "student"
     folder.mkdir()
-    untrained(folder, owns_cnn=False, history=3, goal_image="own")
+    untrained(folder, owns_cnn=False, history=3, goal="own")
     data = Data.load(
         {"rollouts": artifacts["rollouts"], "features": features},
-        ImitationConfig(goal_image="own", label="executed"),
+        ImitationConfig(goal="own", label="executed"),
         chunk=4,
         history=3,
         states=False,

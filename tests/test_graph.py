@@ -187,17 +187,19 @@ def test_steps_of_a_round_collect_no_episode_of_that_round_anew():
     assert difference(planned(once), planned(more))[0] == OF_STUDENTS
 
 
-def test_ways_of_acting_do_not_tell_students_of_one_action_apart():
-    bc = {"variants": {"acgd": {"student": {"kind": "bc"}}, "no-guidance": {"student": {"kind": "bc"}}}}
-    assert difference(planned(bc), planned(merge(bc, {"acting": {"eta": 1.0}})))[0] == {"report"}
+@pytest.mark.parametrize("kind", ["bc", "bc_rnn"])
+def test_ways_of_acting_do_not_tell_students_of_one_action_apart(kind):
+    single = {"variants": {"acgd": {"student": {"kind": kind}}, "no-guidance": {"student": {"kind": kind}}}}
+    assert difference(planned(single), planned(merge(single, {"acting": {"eta": 1.0}})))[0] == {"report"}
 
 
-def test_goal_conditions_are_one_for_students_without_goals():
-    blind = {"imitation": {"goal_image": "off"}}
+@pytest.mark.parametrize(("goal", "shown"), [("off", "none"), ("vector", "commanded")])
+def test_goal_conditions_are_one_for_students_without_goal_images(goal, shown):
+    blind = {"imitation": {"goal": goal}}
     both = {**blind, "conditions": [{"goal": "training"}, {"goal": "oracle"}]}
     one = {**blind, "conditions": [{"goal": "training"}]}
     assert set(planned(both).artifacts) - set(planned(one).artifacts) == {planned(both).report.place}
-    assert planned(both).names["acgd/seed-0/evaluation"][0].request.condition.goal == "none"
+    assert planned(both).names["acgd/seed-0/evaluation"][0].request.condition.goal == shown
 
 
 @pytest.mark.parametrize(

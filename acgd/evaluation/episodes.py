@@ -17,7 +17,7 @@ from safetensors.numpy import save_file
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Policy
 from acgd.simulate.record import Outcomes
-from acgd.simulate.roll import roll
+from acgd.simulate.roll import Goals, roll
 from acgd.simulate.seeds import SEEDS
 from acgd.store.atomic import replace_file
 from acgd.store.progress import Bar
@@ -33,7 +33,7 @@ class Label:
     """none for a student; else the control: replay, replay-nearest, expert or expert-nominal."""
     task: str
     goal: str
-    """training, oracle, or none for a policy without a goal image."""
+    """training, oracle, commanded, or none for a policy without a goal."""
     image_features: str
     """own, shuffled, or none for a policy without images."""
     start: str
@@ -70,7 +70,7 @@ def run_batch(
     policy: Policy,
     label: Label,
     task: int = 0,
-    goals: np.ndarray | None = None,
+    goals: Goals = None,
 ) -> tuple[list[Episode], np.ndarray]:
     """Runs one batch of m seeds. Returns its episodes, and the actions (T, m, A) float32."""
     outcomes = Outcomes()
@@ -97,19 +97,19 @@ def run(
     bar: Bar,
     *,
     task: int = 0,
-    goals: np.ndarray | None = None,
+    goals: Goals = None,
 ) -> tuple[list[Episode], dict[int, np.ndarray]]:
     """Runs all seeds, batch by batch. Reads finished batches from `state` instead of running them again.
 
-    task: task id of the policy. goals: (E, H, W, 3) uint8 goal images of the seeds, or None. Returns the episodes in
-    the order of the seeds, and seed -> actions (steps, A).
+    task: task id of the policy. goals: (E, ...) goals of the seeds, or a function that reads them. Returns the
+    episodes in the order of the seeds, and seed -> actions (steps, A).
     """
     name = "-".join((label.control, label.task.replace("/", "-"), label.goal, label.image_features, label.start))
     episodes, actions, size = [], {}, len(lock.envs)
     for first in range(0, len(seeds), size):
         file = state / f"{name}-{first:04d}.safetensors"
         if not file.exists():
-            batch_goals = None if goals is None else goals[first : first + size]
+            batch_goals = goals[first : first + size] if isinstance(goals, np.ndarray) else goals
             _write_batch(file, *run_batch(lock, seeds[first : first + size], policy, label, task, batch_goals))
         batch, batch_actions = _read_batch(file)
         episodes += batch

@@ -9,6 +9,7 @@ from acgd.evaluation.summary import write_summary
 from acgd.experts.policy import Expert
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Policy, ShuffledImages
+from acgd.simulate.roll import Goals
 from acgd.store.stage import Context, Inputs
 from acgd.students.load import load_policy
 from acgd.tasks.settings import TaskConfig
@@ -36,7 +37,7 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     filmed: list[tuple[Episode, np.ndarray]] = []
     with ctx.progress(sum(map(len, seeds)), "evaluating") as bar:
         for index, start in enumerate(starts):
-            goals = goal_images(request, inputs, index, start, seeds[index])
+            goals = goals_of(request, inputs, index, start, seeds[index])
             lock = Lockstep(start, size, image_size=request.image.size)
             label = Label("none", start.name, condition.goal, condition.image_features, start.start)
             task = student.tasks.index(start.name)
@@ -58,16 +59,14 @@ def evaluate(request: EvaluationRequest, inputs: Inputs, ctx: Context) -> None:
     ctx.metrics.log(0, **{f"{row['task']}/{row['rule']}": row["rate"] for row in rows})
 
 
-def goal_images(
-    request: EvaluationRequest, inputs: Inputs, index: int, start: TaskConfig, seeds: list[int]
-) -> np.ndarray | None:
-    """The goal images (E, H, W, 3) uint8 of a task's seeds, or None. index: of the task in the request."""
+def goals_of(request: EvaluationRequest, inputs: Inputs, index: int, start: TaskConfig, seeds: list[int]) -> Goals:
+    """Goals of a task's seeds: images (E, H, W, 3) uint8, commanded goals, or None. index: the task's."""
     if request.condition.goal == "training":
         return training_goals(inputs["rollouts"][index], seeds)
     if request.condition.goal == "oracle":
         expert = Expert.load(inputs["expert"][index])
         return oracle_goals(start, expert, seeds, request.evaluation.lockstep, request.image.size)
-    return None
+    return Lockstep.goal_vectors if request.condition.goal == "commanded" else None
 
 
 def first_of_each_outcome(episodes: list[Episode]) -> list[Episode]:

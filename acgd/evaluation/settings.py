@@ -14,11 +14,12 @@ Split = Literal["evaluation", "validation"]
 class Condition(Section):
     """Condition of an evaluation. Each condition of a student gives one artifact."""
 
-    goal: Literal["training", "oracle", "none"] = Field(
+    goal: Literal["training", "oracle", "commanded", "none"] = Field(
         "training",
-        description="Goal image o_T. training: last frame of a demonstration of the task, chosen by the episode's "
-        "seed; misleading where the goal varies. oracle: last frame of the expert's episode from the same seed, solved "
-        "or not. none: no goal image. A student that was trained without goal images never gets one.",
+        description="Goal. training: last frame of a demonstration of the task, chosen by the episode's seed; "
+        "misleading where the goal varies. oracle: last frame of the expert's episode from the same seed, solved or "
+        "not. commanded: commanded goal of the environment. none: no goal. A student with imitation.goal `vector` "
+        "always gets `commanded`, one with `off` always `none`.",
     )
     image_features: Literal["own", "shuffled"] = Field(
         "own",

@@ -84,6 +84,14 @@ class Windows:
         index = t[:, None] + torch.arange(-h, 1, device=t.device)
         return torch.maximum(index, self.start[t][:, None])
 
+    def earlier(self, t: Tensor, frames: int, stride: int) -> Tensor:
+        """Indices (..., frames) of the steps t - (frames - 1) stride, .., t - stride, t, for t (...).
+
+        Before the episode's start its first step repeats.
+        """
+        index = t[..., None] + stride * torch.arange(1 - frames, 1, device=t.device)
+        return torch.maximum(index, self.start[t][..., None])
+
     def chunk_of(self, name: str, t: Tensor, k: int) -> tuple[Tensor, Tensor]:
         """`steps[name]` over steps t .. t+k-1, (B, k, ...), and the mask (B, k)."""
         index, mask = self.chunk(t, k)

@@ -50,6 +50,10 @@ class Lockstep:
         self.active = self.active & ~done
         return self._stack(), reward, done, list(self._info)
 
+    def goal_vectors(self) -> np.ndarray:
+        """The commanded goals (m, G) float32 of the episodes that have begun."""
+        return np.stack([env.goal_vector() for env in self.envs[: len(self.active)]])
+
     def _check(self, episodes: int) -> None:
         if not 0 < episodes <= len(self.envs):
             raise ValueError(f"{episodes} episodes for {len(self.envs)} environments: pass 1 to {len(self.envs)}")

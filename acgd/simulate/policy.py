@@ -20,7 +20,8 @@ class Policy(Protocol):
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         """The memory of n new episodes.
 
-        tasks: (n,) int64, task ids. goals: (n, H, W, 3) uint8 goal images, or None. seeds: n episode seeds.
+        tasks: (n,) int64, task ids. goals: (n, H, W, 3) uint8 goal images, (n, G) float32 commanded goals, or None.
+        seeds: n episode seeds.
         """
 
     def act(self, observations: Observations, memory: Any) -> tuple[np.ndarray, Any]:

@@ -12,7 +12,7 @@ from acgd.simulate.roll import Recorder, Step
 Episode = dict[str, np.ndarray]
 """Name -> array (T, ...) per step, or one value per episode (names in ONCE, `final_*`, `model_fields/*`)."""
 
-ONCE = ("seed", "terminated", "success_final", "success_held", "success_once")
+ONCE = ("seed", "goal", "terminated", "success_final", "success_held", "success_once")
 FINAL = "final_"
 FIELDS = "model_fields/"
 TERMS = "reward_terms/"
@@ -56,7 +56,7 @@ class Episodes(Recorder):
     def start(self, lock: Lockstep, seeds: Sequence[int]) -> None:
         self._recordings = [_Recording() for _ in seeds]
         for env, seed, recording in zip(lock.envs, seeds, self._recordings):
-            recording.once["seed"] = np.int64(seed)
+            recording.once |= {"seed": np.int64(seed), "goal": env.goal_vector()}
             recording.once |= {FIELDS + name: value for name, value in env.snapshot().model_fields.items()}
 
     def before(self, lock: Lockstep, step: Step) -> None:

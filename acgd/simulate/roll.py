@@ -1,6 +1,6 @@
 """The function that runs a policy in the simulator, and the interface of recorders."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +9,9 @@ import numpy as np
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.policy import Observations, Policy
 from acgd.tasks.snapshot import Snapshot
+
+Goals = np.ndarray | Callable[[Lockstep], np.ndarray] | None
+"""As `Policy.start` takes them; or how to read them from episodes that have begun, as `Lockstep.goal_vectors` does."""
 
 
 @dataclass
@@ -55,17 +58,17 @@ def roll(
     *,
     snapshots: Sequence[Snapshot] | None = None,
     task: int = 0,
-    goals: np.ndarray | None = None,
+    goals: Goals = None,
     limits: np.ndarray | None = None,
     recorders: Sequence[Recorder] = (),
 ) -> None:
     """Runs one episode per seed in lockstep, until the last episode has ended.
 
     snapshots: states that the episodes start from; the seeds then serve the policy alone. task: the policy's task id.
-    goals: (n, H, W, 3) uint8 or None. limits: (n,) steps, at least 1, after which an episode ends.
+    limits: (n,) steps, at least 1, after which an episode ends.
     """
     observations = lock.reset(seeds) if snapshots is None else lock.restore(snapshots)
-    memory = policy.start(np.full(len(seeds), task), goals, list(seeds))
+    memory = policy.start(np.full(len(seeds), task), goals(lock) if callable(goals) else goals, list(seeds))
     for recorder in recorders:
         recorder.start(lock, seeds)
     number = 0

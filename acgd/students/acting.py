@@ -8,7 +8,6 @@ import torch
 
 from acgd.students.data import Observation
 from acgd.students.ensembling import ensemble
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig
 from acgd.students.student import Student
 
@@ -23,7 +22,7 @@ class Memory:
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F) goal features, or (n, H, W, 3) uint8 goal images for a student with a CNN. None: no goal image."""
+    """(n, ...) in the form of Observation. None: no goal."""
     proprio: np.ndarray
     """(n, h, P) float32, oldest first. The first step's proprioception fills the steps before it."""
     chunks: np.ndarray
@@ -33,32 +32,32 @@ class Memory:
 
 
 class ChunkPolicy:
-    """Policy of a student that plans chunks. It reads `image` and `proprio`, and no privileged state."""
+    """Policy of a student that plans chunks. It reads `vision` and `proprio`, and no privileged state."""
 
-    def __init__(self, student: Student, perception: Perception, acting: ActingConfig) -> None:
-        self.student, self.perception, self.acting = student.eval(), perception, acting
+    def __init__(self, student: Student, acting: ActingConfig) -> None:
+        self.student, self.acting = student.eval(), acting
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """The memory before the first step. tasks (n,); goals (n, H, W, 3) uint8, or None without goal images.
+        """The memory before the first step. tasks (n,); goals in the form of Observation.
 
-        The policy ignores `seeds`, since it takes the likeliest chunk. Raises ValueError where goal images are missing.
+        The policy ignores `seeds`, since it takes the likeliest chunk.
         """
         settings, sizes, n = self.student.settings, self.student.sizes, len(tasks)
         return Memory(
             task=np.asarray(tasks, np.int64),
-            goal=self.perception.see_goals(goals),
+            goal=goals,
             proprio=np.zeros((n, settings.history, sizes.proprio), np.float32),
             chunks=np.zeros((n, settings.chunk, settings.chunk, sizes.actions), np.float32),
             steps=np.zeros(n, np.int64),
         )
 
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
-        """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
+        """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
         memory = replace(memory, proprio=_append(obs["proprio"], memory))
         k, age = self.student.settings.chunk, memory.steps % self.student.settings.chunk
         rows = np.arange(len(age))
         if self.acting.mode != "open-loop" or (age == 0).any():
-            plan = self._plan(obs["image"], memory)
+            plan = self._plan(obs["vision"], memory)
             if self.acting.mode == "open-loop":
                 plan = np.where((age == 0)[:, None, None], plan, memory.chunks[:, 0])
                 chunks = np.concatenate([plan[:, None], memory.chunks[:, 1:]], axis=1)
@@ -77,10 +76,18 @@ class ChunkPolicy:
         return actions, replace(memory, steps=memory.steps + 1)
 
     @torch.inference_mode()
-    def _plan(self, images: np.ndarray, memory: Memory) -> np.ndarray:
-        """The student's chunks for images (n, H, W, 3) -> (n, k, A)."""
-        goal, proprio, task = (self.perception.tensor(x) for x in (memory.goal, memory.proprio, memory.task))
-        return self.student.plan(Observation(self.perception.see(images), goal, proprio, task)).cpu().numpy()
+    def _plan(self, vision: np.ndarray, memory: Memory) -> np.ndarray:
+        """The student's chunks (n, k, A)."""
+        device = next(self.student.parameters()).device
+        return self.student.plan(to_observation(vision, memory.goal, memory.proprio, memory.task, device)).cpu().numpy()
+
+
+def to_observation(
+    vision: np.ndarray, goal: np.ndarray | None, proprio: np.ndarray, task: np.ndarray, device: torch.device
+) -> Observation:
+    """The arrays as tensors on `device`."""
+    arrays = (vision, goal, proprio, task)
+    return Observation(*(None if array is None else torch.as_tensor(array, device=device) for array in arrays))
 
 
 def _append(proprio: np.ndarray, memory: Memory) -> np.ndarray:

@@ -24,11 +24,15 @@ class Observation:
     """The inputs of a student. They exclude the privileged state."""
 
     vision: Tensor
-    """(B, F) features of a frozen backbone, or (B, H, W, 3) uint8 images for a student with a CNN."""
+    """(B, frames F) features of a frozen backbone, oldest frame first, or (B, H, W, 3) uint8 images for a student with
+    a CNN. For a recurrent kind (B, k, frames F) or (B, k, H, W, 3), oldest step first.
+    """
     goal: Tensor | None
-    """Goal image o_T, in the form of `vision`. None for a student without goal images."""
+    """Goal image o_T as features (B, F) or an image (B, H, W, 3), or the commanded goal (B, G), zero-padded to the
+    widest task's. None for a student without goals.
+    """
     proprio: Tensor
-    """(B, h, P), oldest first. The last row belongs to the current step."""
+    """(B, h, P), oldest first. The last row belongs to the current step. For a recurrent kind (B, k, P)."""
     task: Tensor
     """(B,) long, index in the study's list of tasks."""
 
@@ -55,7 +59,8 @@ class Data:
     """Windows over the rollouts of all tasks.
 
     Arrays of `windows.steps`: `vision`, `proprio`, `label`, `weight` and, for guidance, `state`. Array of
-    `windows.episodes`: `goal`. `vision` and `goal` are features, or images for a student with a CNN.
+    `windows.episodes`: `goal`. `vision` and `goal` are features, or images for a student with a CNN; with
+    `imitation.goal: vector` the goal is the commanded one.
     """
 
     windows: Windows
@@ -65,12 +70,13 @@ class Data:
     """Training episodes of each task whose last image may be a goal: the demonstrations, which all succeeded."""
     demonstrated: Tensor
     """(K,) bool: true for demonstrations, false for on-policy episodes."""
-    goal_image: str
-    """Setting `imitation.goal_image`."""
+    imitation: ImitationConfig
     k: int
     """Actions in a window."""
     h: int
     """Proprioceptive states in a window."""
+    recurrent: bool = False
+    """Whether a window has an observation for each of its k actions. Past the episode's end the last one repeats."""
     targets: dict[str, Tensor] = field(default_factory=dict)
     """Name -> (N, ...), see Batch."""
 
@@ -85,6 +91,7 @@ class Data:
         states: bool,
         device: torch.device,
         onpolicy_labels: str = "expert",
+        recurrent: bool = False,
     ) -> "Data":
         """Reads the inputs `rollouts` and `onpolicy`, with their features, or their images if there are no features.
 
@@ -94,19 +101,27 @@ class Data:
         label, labelled = ("mean_action", 1.0) if onpolicy_labels == "expert" else ("action", 0.0)
         tasks = len(inputs["rollouts"])
         episodes = [
-            _read(rollouts, features, LABELS[imitation.label], weight=1.0, states=states)
+            _read(rollouts, features, LABELS[imitation.label], imitation, weight=1.0, states=states)
             for rollouts, features in _pairs(inputs, "rollouts", "features")
         ] + [
-            _read(rollouts, features, label, weight=labelled, states=states)
+            _read(rollouts, features, label, imitation, weight=labelled, states=states)
             for rollouts, features in _pairs(inputs, "onpolicy", "onpolicy_features")
         ]
         demonstrations, per_step, per_episode = zip(*episodes)
         windows = Windows.join(demonstrations, per_step, per_episode, device)
-        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated=windows.episode_task < tasks)
+        demonstrated = windows.episode_task < tasks
+        return cls.of(_by_task(windows, tasks), imitation, chunk, history, demonstrated, recurrent=recurrent)
 
     @classmethod
     def of(
-        cls, windows: Windows, imitation: ImitationConfig, chunk: int, history: int, demonstrated: Tensor | None = None
+        cls,
+        windows: Windows,
+        imitation: ImitationConfig,
+        chunk: int,
+        history: int,
+        demonstrated: Tensor | None = None,
+        *,
+        recurrent: bool = False,
     ) -> "Data":
         """Data over `windows`. Without `demonstrated` (K,) bool all episodes are demonstrations."""
         if demonstrated is None:
@@ -119,9 +134,10 @@ class Data:
             by_task=by_task,
             goals=[task_episodes[demonstrated[task_episodes]] for task_episodes in episodes],
             demonstrated=demonstrated,
-            goal_image=imitation.goal_image,
+            imitation=imitation,
             k=chunk,
             h=history,
+            recurrent=recurrent,
         )
 
     def with_targets(self, targets: dict[str, Tensor]) -> "Data":
@@ -142,8 +158,12 @@ class Data:
         windows = self.windows
         task = windows.task[t]
         chunk, mask = windows.chunk_of("label", t, self.k)
-        proprio = windows.history_of("proprio", t, self.h - 1)
-        observation = Observation(windows.steps["vision"][t], self._goal(t, task, generator), proprio, task)
+        if self.recurrent:
+            steps, _ = windows.chunk(t, self.k)
+            vision, proprio = self._vision(steps), windows.steps["proprio"][steps]
+        else:
+            vision, proprio = self._vision(t), windows.history_of("proprio", t, self.h - 1)
+        observation = Observation(vision, self._goal(t, task, generator), proprio, task)
         targets = {name: value[t] for name, value in self.targets.items()}
         return Batch(t, observation, chunk, mask, windows.steps["weight"][t], targets)
 
@@ -152,21 +172,31 @@ class Data:
         states, _ = self.windows.chunk_of("state", batch.t[:n], self.k)
         return Reference(states, batch.chunk[:n], batch.mask[:n], batch.observation.task[:n])
 
+    def _vision(self, t: Tensor) -> Tensor:
+        """Features (..., frames F) of the frames at t (...) and before, oldest first; images if frames is 1."""
+        vision, frames = self.windows.steps["vision"], self.imitation.frames
+        if frames == 1:
+            return vision[t]
+        return vision[self.windows.earlier(t, frames, self.imitation.frame_stride)].flatten(-2)
+
     def _goal(self, t: Tensor, task: Tensor, generator: torch.Generator) -> Tensor | None:
         """Goals of the windows: any training goal of the task, or the goal of the window's episode.
 
-        An on-policy episode may have failed. Its windows get any training goal of the task.
+        An on-policy episode may have failed. In place of its goal image its windows get any training goal of the task.
         """
-        if self.goal_image == "off":
+        goal = self.imitation.goal
+        if goal == "off":
             return None
         episode = self.windows.episode[t]
+        if goal == "vector":
+            return self.windows.episodes["goal"][episode]
         has_goal = self.demonstrated[episode]
-        if self.goal_image == "any" or not has_goal.all():
+        if goal == "any" or not has_goal.all():
             share = torch.rand(len(t), generator=generator, device=t.device)
             counts = torch.tensor([len(goals) for goals in self.goals], device=t.device)
             offsets = counts.cumsum(0) - counts
             drawn = torch.cat(self.goals)[offsets[task] + (share * counts[task]).long()]
-            episode = drawn if self.goal_image == "any" else torch.where(has_goal, episode, drawn)
+            episode = drawn if goal == "any" else torch.where(has_goal, episode, drawn)
         return self.windows.episodes["goal"][episode]
 
 
@@ -177,10 +207,16 @@ def _pairs(inputs: Inputs, rollouts: str, features: str) -> list[tuple[Path, Pat
 
 
 def _read(
-    rollouts: Path, features: Path | None, label: str, *, weight: float, states: bool
+    rollouts: Path,
+    features: Path | None,
+    label: str,
+    imitation: ImitationConfig,
+    *,
+    weight: float,
+    states: bool,
 ) -> tuple[Demonstrations, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]:
     """Episodes of one artifact, the arrays per step, and the arrays per episode."""
-    names = ["proprio", label, *(["state"] if states else [])]
+    names = ["proprio", label, *(["state"] if states else []), *(["goal"] if imitation.goal == "vector" else [])]
     episodes = Demonstrations.load(rollouts, names + (["image", "final_image"] if features is None else []))
     vision = (
         episodes.arrays if features is None else read_group(Path(features) / "features.zarr", ["image", "final_image"])
@@ -193,7 +229,7 @@ def _read(
     }
     if states:
         steps["state"] = episodes.arrays["state"]
-    return episodes, steps, {"goal": vision["final_image"]}
+    return episodes, steps, {"goal": episodes.arrays["goal"] if imitation.goal == "vector" else vision["final_image"]}
 
 
 def _by_task(windows: Windows, tasks: int) -> Windows:

@@ -12,19 +12,18 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from acgd.guidance.guidance import Guidance, gradient_ratios, load_guidance, verdict
-from acgd.nn.excitation import to_loss_space
-from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.key import in_key
 from acgd.store.stage import Context, Inputs
 from acgd.students.data import Data
+from acgd.students.errors import l1_error
 from acgd.students.load import new_student, save_student, sizes_of
 from acgd.students.settings import StudentRequest
 from acgd.students.student import Student
 from acgd.students.training import train
 
 VALIDATION_BATCH = 1024
-"""Windows."""
+"""Observations."""
 PLAN_ERROR = "validation_plan_error"
 """Score that selects the best weights: error of the student's plan per action component.
 
@@ -49,6 +48,7 @@ def distil(request: StudentRequest, inputs: Inputs, ctx: Context) -> None:
         states=guidance is not None,
         device=ctx.device,
         onpolicy_labels="expert" if request.rounds is None else request.rounds.labels,
+        recurrent=settings.recurrent,
     )
     student = start(request, data, inputs, ctx.device)
     data = data.with_targets(student.prepare(data, inputs))
@@ -124,11 +124,11 @@ def validate(student: Student, data: Data, guidance: Guidance | None) -> dict[st
     student.eval()
     generators: Generators = {"data": torch.Generator(data.windows.task.device).manual_seed(0)}
     sums: dict[str, Tensor] = {}
-    space = student.imitation.action_space
-    for t in data.windows.validation.split(VALIDATION_BATCH):
+    observations = data.k if data.recurrent else 1
+    for t in data.windows.validation.split(max(1, VALIDATION_BATCH // observations)):
         batch = data.batch(t, generators["data"])
         plan = student.plan(batch.observation)
-        error = l1(to_loss_space(plan, space), to_loss_space(batch.chunk, space), batch.mask)
+        error = l1_error(plan, batch, student.imitation.action_space)
         scores = student.validate(batch) | {PLAN_ERROR: error / plan.shape[-1]}
         if guidance is not None:
             scores["validation_gain"] = guidance.gain(plan, data.reference(batch))

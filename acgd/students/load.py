@@ -28,13 +28,19 @@ META = "student.json"
 
 def sizes_of(data: Data, inputs: Inputs) -> Sizes:
     """Sizes of the data. Without features the student has a CNN, whose width is in the backbone's artifact."""
-    steps, owns_cnn = data.windows.steps, "features" not in inputs
+    steps, owns_cnn, imitation = data.windows.steps, "features" not in inputs, data.imitation
+    if owns_cnn and imitation.frames > 1:
+        raise ValueError(
+            f"imitation.frames is {imitation.frames}, but a student that trains its own CNN (backbone.kind: scratch) "
+            "reads one image. Set imitation.frames to 1, or take another backbone."
+        )
     return Sizes(
         features=_cnn_width(inputs["backbone"]) if owns_cnn else steps["vision"].shape[-1],
         proprio=steps["proprio"].shape[-1],
         actions=steps["label"].shape[-1],
         tasks=len(data.by_task),
         owns_cnn=owns_cnn,
+        goal=data.windows.episodes["goal"].shape[-1] if imitation.goal == "vector" else 0,
     )
 
 
@@ -78,8 +84,8 @@ class StudentPolicy:
     policy: Policy
     tasks: list[str]
     """Task names. The index of a task is its id."""
-    uses_goal: bool
-    """Whether `start` needs goal images."""
+    goal: str
+    """Setting `imitation.goal`: which goals `start` needs."""
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Any:
         return self.policy.start(tasks, goals, seeds)
@@ -110,10 +116,9 @@ def policy_of(
     student: Student, backbone: nn.Module | None, acting: ActingConfig, *, tasks: Sequence[str], rows: int
 ) -> StudentPolicy:
     """A student as a policy. backbone: (B, H, W, 3) uint8 -> (B, F); None for a student with a CNN."""
-    uses_goal = student.imitation.goal_image != "off"
     device = next(student.parameters()).device
-    policy = student.policy(Perception(backbone, uses_goal=uses_goal, device=device), acting)
-    return StudentPolicy(Restricted(Padded(policy, rows), STUDENT_ENTRIES), list(tasks), uses_goal)
+    policy = Perception(student.policy(acting), backbone, student.imitation, student.sizes, device)
+    return StudentPolicy(Restricted(Padded(policy, rows), STUDENT_ENTRIES), list(tasks), student.imitation.goal)
 
 
 def _cnn_width(backbone: Path) -> int:

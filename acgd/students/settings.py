@@ -13,11 +13,13 @@ from acgd.students.training_settings import TrainingConfig
 from acgd.tasks.settings import TaskConfig
 
 StudentConfig = one_of(STUDENTS, default="acgd")
-"""Settings of one kind. needs: optional stages that the kind reads. chunk, history: actions and states in a window."""
+"""Settings of one kind. needs: optional stages that the kind reads. chunk, history: actions and states in a window.
+recurrent: whether a window has an observation for each of its actions.
+"""
 
 
 class ImitationConfig(Section):
-    """Labels and goal images of imitation."""
+    """Labels, goals and frames of imitation."""
 
     label: Literal["mean", "executed"] = Field(
         "mean", description="Label of a step. mean: the expert's mean action. executed: the action that was executed."
@@ -27,10 +29,19 @@ class ImitationConfig(Section):
         description="Space of the imitation losses. raw: actions. excitation: the muscle excitation that MyoSuite "
         "computes from an action.",
     )
-    goal_image: Literal["own", "any", "off"] = Field(
+    goal: Literal["own", "any", "vector", "off"] = Field(
         "any",
-        description="Goal image o_T in training. any: of any training episode of the task, for an evaluation with goal "
-        "`training`. own: of the same episode (the paper), for goal `oracle`. off: no goal image.",
+        description="Goal in training. any: goal image o_T of any training episode of the task, for an evaluation with "
+        "goal `training`. own: goal image of the same episode (the paper), for goal `oracle`. vector: commanded goal "
+        "of the environment (docs/tasks.md). off: no goal.",
+    )
+    frames: int = Field(
+        1, ge=1, description="Frames whose features the student reads: the current one and earlier ones, oldest first."
+    )
+    frame_stride: int = Field(
+        1,
+        ge=1,
+        description="Steps between two of these frames. An episode's first frame repeats before its start.",
     )
 
 
@@ -71,9 +82,7 @@ class CodebookRequest(Request):
     """Request of one codebook."""
 
     tasks: list[TaskConfig]
-    imitation: ImitationConfig = Field(
-        ImitationConfig(), description="Labels and goal images. They apply to every kind of student."
-    )
+    imitation: ImitationConfig = Field(ImitationConfig(), description="The same for every kind of student.")
     student: StudentConfig = ACGDConfig()
     seed: Annotated[int, Field(ge=0)]
 

@@ -10,13 +10,12 @@ from acgd.simulate.policy import Policy
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
 from acgd.students.data import Batch, Data, Observation
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes that the data determine: F, P, A and the number of tasks."""
+    """Sizes that the data determine: F of one frame, P, A and the number of tasks."""
 
     features: int
     proprio: int
@@ -24,6 +23,8 @@ class Sizes:
     tasks: int
     owns_cnn: bool
     """Whether the student reads images through a CNN that it trains, with `features` outputs, and no features."""
+    goal: int = 0
+    """G of commanded goals; 0 for a student without them."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,9 @@ class Imitation:
 class Student(Protocol):
     """An nn.Module of one kind.
 
-    The settings have `chunk` k and `history` h, the lengths of a window, and `needs`, the optional stages that the kind
-    reads. The state dict holds everything that is learned.
+    The settings have `chunk` k and `history` h, the lengths of a window; `recurrent`, whether a window has an
+    observation for each of its actions; and `needs`, the optional stages that the kind reads. The state dict holds
+    everything that is learned.
     """
 
     settings: Section
@@ -72,5 +74,5 @@ class Student(Protocol):
     def plan(self, observation: Observation) -> Tensor:
         """The likeliest chunk (B, k, A) inside the box, without a gradient."""
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> Policy:
-        """A policy that reads `image` and `proprio`."""
+    def policy(self, acting: ActingConfig) -> Policy:
+        """A policy that reads `vision`, goals and `proprio`, each in the form of Observation: see Perception."""

@@ -208,14 +208,15 @@ class _Variant:
     def request(self, stage: Stage, at: At) -> Request:
         """The request. Each field is an axis of the artifact or the variant's section of the same name."""
         settings, number = self.settings, at.get("round", 0)
-        # All ways of acting are one where a chunk is one action, so that they must not tell keys apart.
+        # All ways of acting are one where no chunks overlap, so that they must not tell keys apart.
+        overlap = settings.student.chunk > 1 and not settings.student.recurrent
         fields: dict[str, Any] = {
             "tasks": tuple(task_settings.task for task_settings in settings.each_task),
             "seed": at.get("seed"),
             "round": number,
             "rounds": settings.rounds if number else None,
             "condition": self.conditions[at.get("condition", 0)],
-            "acting": settings.acting if settings.student.chunk > 1 else ActingConfig(),
+            "acting": settings.acting if overlap else ActingConfig(),
         }
         if "task" in at:
             fields |= {name: getattr(settings.each_task[at["task"]], name) for name in PER_TASK}
@@ -223,9 +224,9 @@ class _Variant:
         return kind(**{name: fields[name] if name in fields else getattr(settings, name) for name in kind.model_fields})
 
     def _condition(self, condition: Condition) -> Condition:
-        """The condition as the student meets it: without a goal image in training it gets none."""
-        blind = self.settings.imitation.goal_image == "off"
-        return condition.model_copy(update={"goal": "none"}) if blind else condition
+        """The condition as the student meets it: its goal is of the kind of its training."""
+        goal = {"off": "none", "vector": "commanded"}.get(self.settings.imitation.goal, condition.goal)
+        return condition.model_copy(update={"goal": goal})
 
     def default_name(self, at: At) -> str:
         """Name of an artifact: its task or number of tasks, its seed and its round, as far as it has them."""

@@ -20,7 +20,7 @@ from acgd.students.settings import RoundsConfig
 from acgd.study.load import ConfigError, dotted, merge, nearest, validated
 from acgd.study.variants import expanded
 from acgd.tasks.settings import TaskConfig
-from acgd.tasks.spec import TASKS
+from acgd.tasks.spec import GOAL_SIZES, TASKS
 
 Item = TypeVar("Item")
 
@@ -236,6 +236,21 @@ def _faults(settings: Settings) -> Iterator[str]:
             yield (
                 f"{section}.action_space: excitation needs muscles, and {settings.tasks[0]} has motors. Set it to raw."
             )
+    goal, frames = settings.imitation.goal, settings.imitation.frames
+    if frames > 1 and not settings.backbone.gives_features:
+        yield (
+            f"imitation.frames: it is {frames}, and with backbone.kind {settings.backbone.kind} a student reads one "
+            "image. Set it to 1, or take another backbone."
+        )
+    if goal == "vector" and not any(TASKS[name].kind in GOAL_SIZES for name in settings.tasks):
+        yield "imitation.goal: no task of the study has a commanded goal that varies. Set it to any, own or off."
+    if goal in ("own", "any"):
+        for condition in settings.conditions:
+            if condition.goal in ("commanded", "none"):
+                yield (
+                    f"conditions: goal {condition.goal} is not for a student of imitation.goal: {goal}, which reads "
+                    "goal images. Set it to training or oracle."
+                )
     for place, path in _paths(settings):
         if not path.exists():
             yield (

@@ -126,6 +126,10 @@ class DexterousTask(gymnasium.Env):
         out = {"solved": self.success.last, "success": self.success.outcome(), "reward_terms": terms}
         return self._observe(), float(reward), terminated, truncated, out
 
+    def goal_vector(self) -> np.ndarray:
+        """The commanded goal (0,) float32: these tasks have fixed goals."""
+        return np.zeros(0, np.float32)
+
     def snapshot(self) -> Snapshot:
         """The current state. A restored episode continues bit for bit."""
         integration = np.empty(mujoco.mj_stateSize(self.model, STATE))

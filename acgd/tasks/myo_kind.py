@@ -21,6 +21,9 @@ class MyoKind:
     perturb: Callable[[Any, np.random.Generator, bool], None]
     """(base, rng, goal): moves the object and, if `goal` is true, the goal. The number of draws does not depend on
     `goal`, so that a seed gives the same start in both cases."""
+    goal: Callable[[Any, mujoco.MjData], np.ndarray] | None = None
+    """(base, data) -> commanded goal (G,), constant within an episode. G stands in spec.GOAL_SIZES. None: the goal is
+    the same in every episode."""
     nominal_goal: Callable[[Any], np.ndarray] | None = None
     """base -> goal of MyoSuite's reset, for tasks with a fixed goal. `perturb` reads it as `base.nominal_goal`."""
     advance: Callable[[Any, float], None] | None = None

@@ -130,6 +130,11 @@ class MyoDexTask(gymnasium.Env):
         """Whether the simulation is unstable. A pen at a distance of kilometres would give a reward of -46,000."""
         return self.base._check_mj_instability_termination() or np.abs(self.data.qpos).max() > FAR
 
+    def goal_vector(self) -> np.ndarray:
+        """The commanded goal (G,) float32, not the place of the object. Empty for tasks with a fixed goal."""
+        goal = self.kind.goal(self.base, self.data) if self.kind.goal else ()
+        return np.array(goal, np.float32)
+
     def snapshot(self) -> Snapshot:
         """The current state. A restored episode continues bit for bit."""
         integration = np.empty(self._state_size)

@@ -202,4 +202,7 @@ _SPECS = (
 ADVANCED_KINDS = ("key-turn", "pose")
 """Kinds with starts on the way to the goal, by `KIND.advance`."""
 
+GOAL_SIZES = {"obj-hold": 3, "pen-twirl": 3, "pose": 23, "reach": 15}
+"""Kinds whose commanded goal varies -> numbers in it, see `goal_vector` of the environments."""
+
 TASKS: dict[str, TaskSpec] = {spec.name: spec for spec in _SPECS}

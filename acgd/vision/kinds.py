@@ -7,6 +7,7 @@ BACKBONES: dict[str, Kind] = {
         "acgd.vision.privileged.settings:PrivilegedConfig", "acgd.vision.privileged.backbone:Privileged"
     ),
     "scratch": Kind("acgd.vision.scratch.settings:ScratchConfig", "acgd.vision.scratch.backbone:Scratch"),
+    "imagenet": Kind("acgd.vision.imagenet.settings:ImageNetConfig", "acgd.vision.imagenet.backbone:ImageNet"),
     "r3m": Kind("acgd.vision.r3m.settings:R3MConfig", "acgd.vision.r3m.backbone:R3M"),
     "huggingface": Kind(
         "acgd.vision.huggingface.settings:HuggingFaceConfig", "acgd.vision.huggingface.backbone:HuggingFace"

@@ -1,7 +1,8 @@
-"""The networks of Figure 2: phi_act, phi_state, phi_task, phi_lat, psi_dec. They form codebook (a) and student (b).
+"""The networks of Figure 2: phi_act and phi_lat, and all of them as codebook (a) and student (b).
 
 Sizes: B windows; k actions of A components in a chunk; G groups of n_c codes; d, the width of every embedding. The
-quantizer C and z_q are in quantizer.py, the losses in losses.py.
+quantizer C and z_q are in quantizer.py, the losses in losses.py. phi_state, phi_task and psi_dec are in observer.py
+and decoder.py of acgd/students, which other students share.
 """
 
 import json
@@ -24,8 +25,9 @@ from acgd.students.acgd.quantizer import Quantizer
 from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.acting import ChunkPolicy
 from acgd.students.data import Batch, Data, Observation
-from acgd.students.inputs import StudentInputs
-from acgd.students.perception import Perception
+from acgd.students.decoder import ActionDecoder
+from acgd.students.errors import l1_error
+from acgd.students.observer import Observer
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -57,62 +59,6 @@ class ActionEncoder(nn.Module):
         return self.head(self.norm(tokens).flatten(1)).unflatten(-1, (self.groups, -1))
 
 
-class StateEncoder(nn.Module):
-    """phi_state, an MLP over the robot's recent proprioception: s_{t-h:t} -> z_state (Section III-C).
-
-    The input is proprioception, not the privileged state. The paper writes s for both.
-    """
-
-    def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
-        super().__init__()
-        hidden = settings.expansion * settings.width
-        self.net = nn.Sequential(
-            nn.Linear(settings.history * sizes.proprio, hidden),
-            nn.LayerNorm(hidden),
-            nn.ReLU(),
-            nn.Linear(hidden, settings.width),
-        )
-
-    def forward(self, proprio: Tensor) -> Tensor:
-        """proprio (B, h, P), normalised -> z_state (B, d)."""
-        return self.net(proprio.flatten(1))
-
-
-class TaskEncoder(nn.Module):
-    """phi_task: features of o_t, those of o_T if the goal image is used, and the task t_i -> z_task (Section III-C)."""
-
-    def __init__(self, settings: ACGDConfig, sizes: Sizes, *, goal_image: bool) -> None:
-        super().__init__()
-        hidden = settings.expansion * settings.width
-        self.task = nn.Embedding(sizes.tasks, settings.width)
-        self.features = nn.Linear(sizes.features * (2 if goal_image else 1), hidden)
-        self.task_to_hidden = nn.Linear(settings.width, hidden, bias=False)
-        self.net = nn.Sequential(nn.LayerNorm(hidden), nn.ReLU(), nn.Linear(hidden, settings.width))
-
-    def forward(self, vision: Tensor, goal: Tensor | None, task: Tensor) -> Tensor:
-        """vision, goal (B, F), normalised; task (B,) -> z_task (B, d)."""
-        features = vision if goal is None else torch.cat([vision, goal], dim=-1)
-        return self.net(self.features(features) + self.task_to_hidden(self.task(task)))
-
-
-class Observer(nn.Module):
-    """phi_state and phi_task on the normalised observation."""
-
-    def __init__(self, settings: ACGDConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
-        super().__init__()
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
-        self.state_encoder = StateEncoder(settings, sizes)
-        self.task_encoder = TaskEncoder(settings, sizes, goal_image=goal_image)
-
-    def forward(
-        self, observation: Observation, noise: float = 0.0, generator: torch.Generator | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """z_state, z_task, each (B, d). noise: standard deviation on the normalised inputs."""
-        vision, goal, proprio = self.inputs(observation, noise, generator)
-        return self.state_encoder(proprio), self.task_encoder(vision, goal, observation.task)
-
-
 class LatentEncoder(nn.Module):
     """phi_lat, an MLP: z_state, z_task -> logits of the codes (Figure 2b)."""
 
@@ -132,30 +78,6 @@ class LatentEncoder(nn.Module):
     def forward(self, z_state: Tensor, z_task: Tensor) -> Tensor:
         """Each (B, d) -> logits (B, G, n_c)."""
         return self.net(torch.cat([z_state, z_task], dim=-1)).unflatten(-1, (self.groups, -1))
-
-
-class ActionDecoder(nn.Module):
-    """psi_dec, a transformer: k learned queries attend to [z_q, z_state, z_task] -> a_hat_{t:t+k} in (-1, 1)^A.
-
-    The tanh keeps actions inside the box. No later step has to clamp them, which would stop the gradient of Q.
-    """
-
-    def __init__(self, settings: ACGDConfig, sizes: Sizes) -> None:
-        super().__init__()
-        s = settings
-        self.queries = nn.Parameter(torch.randn(s.chunk, s.width) * 0.5)
-        self.norm_context = nn.LayerNorm(s.width)
-        self.blocks = nn.ModuleList(Block(s.width, s.heads, s.expansion) for _ in range(s.decoder_layers))
-        self.norm = nn.LayerNorm(s.width)
-        self.head = nn.Linear(s.width, sizes.actions)
-
-    def forward(self, z_q: Tensor, z_state: Tensor, z_task: Tensor) -> Tensor:
-        """Each (B, d) -> action chunk (B, k, A)."""
-        context = self.norm_context(torch.stack([z_q, z_state, z_task], dim=1))
-        tokens = self.queries[None]
-        for block in self.blocks:
-            tokens = block(tokens, context)
-        return self.head(self.norm(tokens)).float().tanh()
 
 
 class Codebook(nn.Module):
@@ -266,8 +188,7 @@ class ACGD(nn.Module):
 
     def error(self, decoded: Tensor, batch: Batch) -> Tensor:
         """L_act of each window, (B, k, A) -> (B,)."""
-        space = self.imitation.action_space
-        return losses.act(to_loss_space(decoded, space), to_loss_space(batch.chunk, space), batch.mask)
+        return l1_error(decoded, batch, self.imitation.action_space)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
@@ -276,6 +197,6 @@ class ACGD(nn.Module):
         onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> ChunkPolicy:
+    def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""
-        return ChunkPolicy(self, perception, acting)
+        return ChunkPolicy(self, acting)

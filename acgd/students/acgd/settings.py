@@ -2,12 +2,12 @@
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from acgd.settings import Section
 from acgd.students.training_settings import TrainingConfig
+from acgd.students.transformer_settings import Positive, TransformerSettings
 
-Positive = Annotated[int, Field(ge=1)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 
@@ -21,16 +21,12 @@ class CodebookConfig(Section):
     training: TrainingConfig = Field(TrainingConfig(), description="Optimisation of the codebook.")
 
 
-class ACGDConfig(Section):
+class ACGDConfig(TransformerSettings):
     """The paper's student. It predicts codes of an action chunk from the observation and decodes them (Figure 2)."""
 
     needs: ClassVar[tuple[str, ...]] = ("codebook",)
 
     kind: Literal["acgd"] = "acgd"
-    chunk: Positive = Field(8, description="Actions in a chunk, k.")
-    history: Positive = Field(
-        4, description="Proprioceptive states that the policy reads, h, including the current one."
-    )
     groups: Positive = Field(4, description="Codes that describe one chunk, G.")
     codes: Annotated[int, Field(ge=2)] = Field(16, description="Codes in each group, n_c.")
     logits: Literal["direct", "distance"] = Field(
@@ -38,18 +34,7 @@ class ACGDConfig(Section):
         description="Logits of the codes. direct: z_e (the paper). distance: the negative squared distances of z_e to "
         "the codes.",
     )
-    width: Positive = Field(128, description="Width of every embedding, including n_q of the codes.")
-    heads: Positive = Field(4, description="Attention heads.")
     encoder_layers: Positive = Field(1, description="Transformer layers of phi_act.")
-    decoder_layers: Positive = Field(1, description="Transformer layers of psi_dec.")
-    expansion: Positive = Field(2, description="Hidden width of feed-forward networks, in multiples of `width`.")
     codebook: CodebookConfig = Field(
         CodebookConfig(), description="Stage `codebook`, one artifact for each student seed."
     )
-
-    @model_validator(mode="after")
-    def _heads_divide_width(self) -> "ACGDConfig":
-        if self.width % self.heads:
-            multiple = self.heads * (self.width // self.heads + 1)
-            raise ValueError(f"width {self.width} is no multiple of heads {self.heads}. Choose e.g. width {multiple}.")
-        return self

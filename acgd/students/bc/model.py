@@ -8,14 +8,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from acgd.nn.excitation import to_loss_space
-from acgd.nn.losses import l1
 from acgd.store.checkpoint import Generators
 from acgd.store.stage import Inputs
+from acgd.students.acting import to_observation
 from acgd.students.bc.settings import BCConfig
 from acgd.students.data import Batch, Data, Observation
+from acgd.students.errors import l1_error
 from acgd.students.inputs import StudentInputs
-from acgd.students.perception import Perception
 from acgd.students.settings import ActingConfig, ImitationConfig
 from acgd.students.student import Imitation, Sizes
 
@@ -26,9 +25,8 @@ class BC(nn.Module):
     def __init__(self, settings: BCConfig, imitation: ImitationConfig, sizes: Sizes) -> None:
         super().__init__()
         self.settings, self.imitation, self.sizes = settings, imitation, sizes
-        goal_image = imitation.goal_image != "off"
-        self.inputs = StudentInputs(sizes, goal_image=goal_image)
-        input_size = sizes.features * (2 if goal_image else 1) + sizes.proprio + sizes.tasks
+        self.inputs = StudentInputs(imitation, sizes)
+        input_size = self.inputs.width + sizes.proprio + sizes.tasks
         self.net = nn.Sequential(
             nn.Linear(input_size, settings.width),
             nn.ReLU(),
@@ -64,17 +62,16 @@ class BC(nn.Module):
 
     def error(self, action: Tensor, batch: Batch) -> Tensor:
         """1-norm of the error of each window: action (B, 1, A) -> (B,)."""
-        space = self.imitation.action_space
-        return l1(to_loss_space(action, space), to_loss_space(batch.chunk, space), batch.mask)
+        return l1_error(action, batch, self.imitation.action_space)
 
     @torch.no_grad()
     def plan(self, observation: Observation) -> Tensor:
         """The action (B, 1, A)."""
         return self(observation)
 
-    def policy(self, perception: Perception, acting: ActingConfig) -> "BCPolicy":
+    def policy(self, acting: ActingConfig) -> "BCPolicy":
         """A policy that acts step by step. It ignores `acting`, which is for chunks."""
-        return BCPolicy(self, perception)
+        return BCPolicy(self)
 
 
 class Memory(NamedTuple):
@@ -83,25 +80,23 @@ class Memory(NamedTuple):
     task: np.ndarray
     """(n,) int64."""
     goal: np.ndarray | None
-    """(n, F) goal features, or (n, H, W, 3) uint8 goal images for a student with a CNN. None: no goal image."""
+    """(n, ...) in the form of Observation. None: no goal."""
 
 
 class BCPolicy:
     """Policy of BC: one action per step, from the current observation only."""
 
-    def __init__(self, student: BC, perception: Perception) -> None:
-        self.student, self.perception = student.eval(), perception
+    def __init__(self, student: BC) -> None:
+        self.student = student.eval()
 
     def start(self, tasks: np.ndarray, goals: np.ndarray | None, seeds: list[int]) -> Memory:
-        """tasks (n,), goal images (n, H, W, 3) uint8 or None. The policy ignores `seeds`: it is deterministic."""
-        return Memory(np.asarray(tasks, np.int64), self.perception.see_goals(goals))
+        """tasks (n,), goals in the form of Observation or None. The policy ignores `seeds`: it is deterministic."""
+        return Memory(np.asarray(tasks, np.int64), goals)
 
     @torch.inference_mode()
     def act(self, obs: Mapping[str, np.ndarray], memory: Memory) -> tuple[np.ndarray, Memory]:
-        """obs: image (n, H, W, 3) uint8, proprio (n, P) -> actions (n, A) float32 in the box."""
-        tensor = self.perception.tensor
+        """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box."""
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
-        observation = Observation(
-            self.perception.see(obs["image"]), tensor(memory.goal), tensor(proprio), tensor(memory.task)
-        )
+        device = next(self.student.parameters()).device
+        observation = to_observation(obs["vision"], memory.goal, proprio, memory.task, device)
         return self.student.plan(observation)[:, 0].cpu().numpy(), memory

@@ -11,6 +11,7 @@ class BCConfig(Section):
     """The simplest baseline: an MLP with two hidden layers, one action per step, no memory."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    recurrent: ClassVar[bool] = False
     chunk: ClassVar[int] = 1
     history: ClassVar[int] = 1
 

@@ -23,6 +23,11 @@ def _entries(base, data, step: float) -> dict[str, np.ndarray]:
     }
 
 
+def _goal(base, data) -> np.ndarray:
+    """Where the object is wanted (3,), m."""
+    return data.site_xpos[base.goal_sid]
+
+
 def _nominal_goal(base) -> np.ndarray:
     return base.model.site_pos[base.goal_sid].copy()
 
@@ -41,6 +46,7 @@ KIND = MyoKind(
     ),
     hand_std=0.03,
     entries=_entries,
+    goal=_goal,
     perturb=_perturb,
     nominal_goal=_nominal_goal,
 )  # fmt: skip

@@ -27,6 +27,11 @@ def _entries(base, data, step: float) -> dict[str, np.ndarray]:
     }
 
 
+def _goal(base, data) -> np.ndarray:
+    """The wanted direction of the pen (3,), a unit vector."""
+    return (data.site_xpos[base.tar_t_sid] - data.site_xpos[base.tar_b_sid]) / base.tar_length
+
+
 def _perturb(base, rng: np.random.Generator, goal: bool) -> None:
     from myosuite.physics.quat_math import euler2quat
 
@@ -37,4 +42,4 @@ def _perturb(base, rng: np.random.Generator, goal: bool) -> None:
         base.model.body_quat[base.target_obj_bid] = euler2quat(np.array([tilt[0], tilt[1], 0.0]))
 
 
-KIND = MyoKind(model_fields=("body_quat",), hand_std=0.05, entries=_entries, perturb=_perturb)
+KIND = MyoKind(model_fields=("body_quat",), hand_std=0.05, entries=_entries, goal=_goal, perturb=_perturb)

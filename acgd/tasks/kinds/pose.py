@@ -18,6 +18,11 @@ def _entries(base, data, step: float) -> dict[str, np.ndarray]:
     }
 
 
+def _goal(base, data) -> np.ndarray:
+    """The wanted joint angles (23,) in the order of qpos, rad."""
+    return base.target_jnt_value
+
+
 def _nominal_goal(base) -> np.ndarray:
     return base.target_jnt_value.copy()
 
@@ -46,6 +51,7 @@ KIND = MyoKind(
     model_fields=("site_pos",),
     hand_std=0.05,
     entries=_entries,
+    goal=_goal,
     perturb=_perturb,
     nominal_goal=_nominal_goal,
     advance=_advance,

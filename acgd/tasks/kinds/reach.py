@@ -15,6 +15,11 @@ def _entries(base, data, step: float) -> dict[str, np.ndarray]:
     return {"tip_pos": tips, "target_pos": targets, "reach_err": targets - tips}
 
 
+def _goal(base, data) -> np.ndarray:
+    """Where the five fingertips are wanted (15,), m."""
+    return data.site_xpos[base.target_sids].ravel()
+
+
 def _nominal_goal(base) -> np.ndarray:
     return np.array([span[0] for span in base.target_reach_range.values()])
 
@@ -29,6 +34,7 @@ KIND = MyoKind(
     model_fields=("site_pos",),
     hand_std=0.05,
     entries=_entries,
+    goal=_goal,
     perturb=_perturb,
     nominal_goal=_nominal_goal,
 )
