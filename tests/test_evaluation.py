@@ -370,12 +370,8 @@ def untrained(folder: Path, owns_cnn: bool, history: int = 2, **imitation) -> Pa
     settings = ACGDConfig(chunk=4, history=history, groups=2, codes=4, width=16, heads=2)
     sizes = Sizes(features=16, proprio=85, actions=39, tasks=2, owns_cnn=owns_cnn)
     made = new_student(settings, ImitationConfig(**imitation), sizes)
-<<<<<<< HEAD
     weights = {"best": made.state_dict(), "last": made.state_dict()}
     save_student(made, folder, weights, {"tasks": [PEN.name, HOLD.name]})
-=======
-    save_student(made, folder, dict.fromkeys(("best", "last"), made.state_dict()), {"tasks": [PEN.name, HOLD.name]})
->>>>>>> kinds
     return folder
 
 
