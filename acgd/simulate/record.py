@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 
 from acgd.simulate.lockstep import Lockstep
 from acgd.simulate.roll import Recorder, Step
+from acgd.tasks.simulator import mujoco
 
 Episode = dict[str, np.ndarray]
 """Name -> array (T, ...) per step, or one value per episode (names in ONCE, `final_*`, `model_fields/*`)."""

@@ -20,8 +20,8 @@ from acgd.tasks.spec import TASKS
 
 FOLDER = Path(__file__).parent
 PACKAGE = "acgd.tasks"
-LEFT_OUT = ("spec.py", "settings.py", "registry.py", "definition.py", "rendering/gl.py")
-"""Files that define no task: names, settings (a stage's request contains them), and the start of OpenGL."""
+LEFT_OUT = ("spec.py", "settings.py", "registry.py", "definition.py", "simulator.py", "rendering/gl.py")
+"""Files that define no task: names, settings (a stage's request contains them), and the start of MuJoCo and OpenGL."""
 RENDERING = "rendering"
 CAMERA = "CAMERA"
 

@@ -9,12 +9,13 @@ simulator's state is therefore all that the continuation of an episode depends o
 """
 
 import gymnasium
-import mujoco
 import numpy as np
 
+from acgd.tasks.arguments import RENDER_MODES, checked_action, checked_advance, checked_render_mode
 from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.scene import Scene
 from acgd.tasks.settings import TaskConfig
+from acgd.tasks.simulator import mujoco
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
@@ -48,7 +49,7 @@ class DexterousTask(gymnasium.Env):
     Actions: (A,) in [-1, 1], in the order of the model's actuators.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}
 
     def __init__(
         self,
@@ -57,11 +58,13 @@ class DexterousTask(gymnasium.Env):
         *,
         image_size: int | None = 84,
         reward_weights: dict[str, float] | None = None,
+        render_mode: str | None = "rgb_array",
     ) -> None:
         self.task, self.config = spec, config
         scene: Scene = spec.code().SCENE()
         self.scene = scene
-        self.render_mode = "rgb_array"
+        self.render_mode = checked_render_mode(spec.name, render_mode)
+        self._changed_weights = reward_weights
         self.model = scene.model
         self.data = mujoco.MjData(self.model)
         self.control_step = float(self.model.opt.timestep * SUBSTEPS)
@@ -84,6 +87,7 @@ class DexterousTask(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Starts an episode. The start is a function of `seed`."""
+        checked_advance(self.task.name, options, advances=False)
         super().reset(seed=seed)
         if seed is None:
             seed = int(self.np_random.integers(2**31))
@@ -96,11 +100,8 @@ class DexterousTask(gymnasium.Env):
 
         `truncated` at the time limit or AFTERWARDS steps after success, unless `ignore_time_limit` is set.
         """
-        action = np.minimum(np.maximum(np.asarray(action, np.float64), -1.0), 1.0)  # np.clip is slower
-        if np.isnan(action).any():
-            raise ValueError(
-                f"{self.task.name} was given an action that is not a number: look for the fault in the policy"
-            )
+        action = checked_action(self.task.name, action, self.model.nu, np.float64)
+        action = np.minimum(np.maximum(action, -1.0), 1.0)  # np.clip is slower
         change = action - self._moving
         self._moving += SMOOTHING * change
         self.data.ctrl[:] = np.minimum(
@@ -138,6 +139,10 @@ class DexterousTask(gymnasium.Env):
 
     def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
         """Restores a snapshot of the same task, and returns its observation. ValueError for another task's snapshot."""
+        self._restore(snapshot)
+        return self._observe()
+
+    def _restore(self, snapshot: Snapshot) -> None:
         expected = mujoco.mj_stateSize(self.model, STATE)
         if snapshot.integration.shape != (expected,):
             raise ValueError(
@@ -149,7 +154,21 @@ class DexterousTask(gymnasium.Env):
         mujoco.mj_step1(self.model, self.data)
         self.steps = snapshot.steps
         self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
-        return self._observe()
+
+    def __reduce__(self):
+        """A copy or a pickle is a new environment in the same state of the episode.
+
+        It has the task's model: what a caller wrote into the model beyond a reset is left out.
+        """
+        arguments = (self.task, self.config, self._image_size, self._changed_weights, self.render_mode)
+        kept = ("spec", "ignore_time_limit", "_np_random", "_np_random_seed")
+        return type(self)._continued, (*arguments, self.snapshot()), {name: getattr(self, name) for name in kept}
+
+    @classmethod
+    def _continued(cls, spec, config, image_size, reward_weights, render_mode, snapshot: Snapshot):
+        env = cls(spec, config, image_size=image_size, reward_weights=reward_weights, render_mode=render_mode)
+        env._restore(snapshot)
+        return env
 
     def _start(self, rng: np.random.Generator | None) -> None:
         mujoco.mj_resetData(self.model, self.data)

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ import io
 import warnings
 
 import gymnasium
-import mujoco
 import numpy as np
 
 from acgd.tasks import starts
+from acgd.tasks.arguments import RENDER_MODES, checked_action, checked_advance, checked_render_mode
 from acgd.tasks.myo_kind import MyoKind
 from acgd.tasks.observation import DEFAULT_SIZE, layout, space
 from acgd.tasks.settings import TaskConfig
+from acgd.tasks.simulator import mujoco
 from acgd.tasks.snapshot import STATE, Snapshot
 from acgd.tasks.spec import TaskSpec
 from acgd.tasks.success import SuccessCounter
@@ -47,7 +48,7 @@ class MyoDexTask(gymnasium.Env):
     Actions: (39,) in [-1, 1], mapped by the suite to excitations 1 / (1 + exp(-5 (a - 0.5))).
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 50}
 
     def __init__(
         self,
@@ -56,11 +57,13 @@ class MyoDexTask(gymnasium.Env):
         *,
         image_size: int | None = 84,
         reward_weights: dict[str, float] | None = None,
+        render_mode: str | None = "rgb_array",
     ) -> None:
         self.task, self.config = spec, config
         self.kind: MyoKind = spec.code().KIND
         self.base = _make_base(spec.gym_id)
-        self.render_mode = "rgb_array"
+        self.render_mode = checked_render_mode(spec.name, render_mode)
+        self._changed_weights = reward_weights
         self.model, self.data = self.base.model, self.base.data
         self.control_step = float(self.model.opt.timestep * self.base.frame_skip)
         self.reward_weights = merge_weights(spec.name, dict(self.base.rwd_keys_wt), reward_weights)
@@ -94,6 +97,7 @@ class MyoDexTask(gymnasium.Env):
 
         `options={"advance": x}` moves the start by a share x of the way to the goal, for tasks of ADVANCED_KINDS.
         """
+        advance = checked_advance(self.task.name, options, advances=self.kind.advance is not None)
         super().reset(seed=seed)
         if seed is None:
             seed = int(self.np_random.integers(2**31))
@@ -103,8 +107,8 @@ class MyoDexTask(gymnasium.Env):
         if self.config.start == "perturbed":
             rng = np.random.default_rng([seed, 1])
             starts.perturb(self.kind, self.base, self.hand_qpos, rng, goal=not self._suite_draws_goal)
-        if options and options.get("advance"):
-            self.kind.advance(self.base, options["advance"])
+        if advance:
+            self.kind.advance(self.base, advance)
         mujoco.mj_forward(self.model, self.data)
         self.steps, self.success = 0, SuccessCounter()
         return self._observe(), {"solved": False, "success": self.success.outcome(), "reward_terms": {}}
@@ -114,7 +118,8 @@ class MyoDexTask(gymnasium.Env):
 
         `truncated` at the time limit, unless `ignore_time_limit` is set. `terminated` where the simulation is unstable.
         """
-        _, reward, terminated, _, info = self.base.step(np.asarray(action, np.float32))
+        action = checked_action(self.task.name, action, self.model.nu, np.float32)
+        _, reward, terminated, _, info = self.base.step(action)
         self.steps += 1
         if self._unstable():
             terminated, reward, terms = True, 0.0, dict.fromkeys(self.reward_weights, 0.0)
@@ -146,6 +151,10 @@ class MyoDexTask(gymnasium.Env):
 
     def restore(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
         """Restores a snapshot of the same task, and returns its observation."""
+        self._restore(snapshot)
+        return self._observe()
+
+    def _restore(self, snapshot: Snapshot) -> None:
         for name, value in snapshot.model_fields.items():
             if name == "target_angles":
                 self.base.target_jnt_value = value.copy()
@@ -158,7 +167,21 @@ class MyoDexTask(gymnasium.Env):
         mujoco.mj_setState(self.model, self.data, snapshot.integration, STATE)
         self.steps = snapshot.steps
         self.success = SuccessCounter(snapshot.solved_steps, snapshot.solved)
-        return self._observe()
+
+    def __reduce__(self):
+        """A copy or a pickle is a new environment in the same state of the episode.
+
+        It has the task's model: what a caller wrote into the model beyond a reset is left out.
+        """
+        arguments = (self.task, self.config, self._image_size, self._changed_weights, self.render_mode)
+        kept = ("spec", "ignore_time_limit", "_np_random", "_np_random_seed")
+        return type(self)._continued, (*arguments, self.snapshot()), {name: getattr(self, name) for name in kept}
+
+    @classmethod
+    def _continued(cls, spec, config, image_size, reward_weights, render_mode, snapshot: Snapshot):
+        env = cls(spec, config, image_size=image_size, reward_weights=reward_weights, render_mode=render_mode)
+        env._restore(snapshot)
+        return env
 
     # -- observation -----------------------------------------------------------------------------
 

@@ -5,12 +5,21 @@ from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import TASKS
 
 
-def make(task: TaskConfig | str, *, image_size: int | None = 84, reward_weights: dict[str, float] | None = None):
+def make(
+    task: TaskConfig | str,
+    *,
+    image_size: int | None = 84,
+    reward_weights: dict[str, float] | None = None,
+    render_mode: str | None = "rgb_array",
+):
     """The Gymnasium environment of a task.
 
     image_size: height and width of the observation's image in pixels; with None the observation has no image. `render`
     works in both cases. reward_weights: reward term -> weight, in place of the task's default.
+    render_mode: `rgb_array` or None, for Gymnasium's makers; `render` draws in both cases.
     """
     config = TaskConfig(name=task) if isinstance(task, str) else task
     spec = TASKS[config.name]
-    return imported(spec.environment)(spec, config, image_size=image_size, reward_weights=reward_weights)
+    return imported(spec.environment)(
+        spec, config, image_size=image_size, reward_weights=reward_weights, render_mode=render_mode
+    )

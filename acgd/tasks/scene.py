@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 NEAR = 0.7
 """Share of perturbed starts with the hands near the object. Other starts are near those of the original task."""

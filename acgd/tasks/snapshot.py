@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """Positions, velocities, controls, user data and the solver's warm start: the state that MuJoCo integrates."""

@@ -7,11 +7,11 @@ palm towards +y and its index finger on top.
 import math
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.robots import allegro
 from acgd.tasks.scene import NEAR, Robot, Touch, closeness, compiled, rest
+from acgd.tasks.simulator import mujoco
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 Resolved-rate control (Whitney 1969) by damped least squares. Derivation: docs/method.md, "Muscle controller".
 """
 
-import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
@@ -11,6 +10,7 @@ from acgd.experts.muscle.detours import CLENCHED, DETOURS, Detour
 from acgd.experts.muscle.settings import ControllerSettings
 from acgd.nn.excitation import HIGHEST, LOWEST
 from acgd.tasks.myodex import MyoDexTask
+from acgd.tasks.simulator import mujoco
 
 TIP_UNIT = 0.05
 """Fingertip error in metres that weighs as much as a joint error of one radian."""

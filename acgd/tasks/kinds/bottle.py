@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.rendering.camera import Camera
 from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, Touch, closeness, compiled
+from acgd.tasks.simulator import mujoco
 
 CAMERA = Camera((0.08, -0.6, 0.55), 0.42, -50.0, -30.0)
 PLACE, PITCH = (0.0, -0.6, 0.5), -0.7

@@ -1,10 +1,10 @@
 """Pose: move all joints of the hand to target angles."""
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.myo_kind import MyoKind
 from acgd.tasks.rendering.camera import Camera
+from acgd.tasks.simulator import mujoco
 
 CAMERA = Camera((-0.17, -0.53, 1.43), 0.28, 150.0, -25.0)
 POSE_GOAL = 0.15

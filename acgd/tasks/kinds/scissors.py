@@ -1,11 +1,11 @@
 """BiDex Scissors: open a large pair of scissors on a table by pulling its handles apart, one with each hand."""
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.rendering.camera import Camera
 from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, closeness, compiled
+from acgd.tasks.simulator import mujoco
 
 CAMERA = Camera((0.05, 0.0, 0.64), 0.7, 0.0, -50.0)
 TABLE = 0.6

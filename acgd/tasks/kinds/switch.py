@@ -1,11 +1,11 @@
 """BiDex Switch: turn on two switches on a table, one with each hand."""
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.rendering.camera import Camera
 from acgd.tasks.robots import shadow
 from acgd.tasks.scene import NEAR, closeness, compiled
+from acgd.tasks.simulator import mujoco
 
 CAMERA = Camera((0.02, 0.0, 0.71), 0.68, 0.0, -33.0)
 TABLE = 0.55

@@ -7,8 +7,9 @@ and object do not overlap.
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 import copy
 
 import fast_simplification
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 
 def decimated(model: mujoco.MjModel, drawn: set[int], faces: int) -> mujoco.MjModel:

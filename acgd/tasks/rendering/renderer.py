@@ -9,12 +9,12 @@ decimated meshes of a copy.
 import atexit
 import hashlib
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.rendering import gl
 from acgd.tasks.rendering.camera import Camera
 from acgd.tasks.rendering.meshes import decimated
+from acgd.tasks.simulator import mujoco
 
 FACES_PER_MESH = 64
 """Triangles of a decimated mesh. At 84 px a bone covers a few dozen pixels."""
@@ -46,7 +46,7 @@ class Renderer:
         scene = self._scene
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, _CATEGORIES, scene)
         self._light()
-        with gl.context().as_current():
+        with gl.drawing():
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._target)
             mujoco.mjr_render(self._viewport, scene, self._target)
             mujoco.mjr_readPixels(self._buffer, None, self._viewport, self._target)
@@ -87,25 +87,31 @@ def _target(model: mujoco.MjModel, size: int) -> mujoco.MjrContext:
     content = hashlib.sha256(repr(sorted(drawn)).encode())
     content.update(model.mesh_vert.tobytes() + model.mesh_face.tobytes() + model.mesh_vertadr.tobytes())
     key = content.hexdigest(), size
-    if key not in _TARGETS:
+    if key in _TARGETS:
+        return _TARGETS[key]
+    with gl.drawing():
+        if key in _TARGETS:  # by another thread in the meantime
+            return _TARGETS[key]
         small = decimated(model, drawn, FACES_PER_MESH)
         quality, window = small.vis.quality, small.vis.global_
         quality.offsamples = quality.shadowsize = 0
         quality.numslices, quality.numstacks = ROUND
         window.offwidth = window.offheight = size
-        with gl.context().as_current():
-            try:
-                made = mujoco.MjrContext(small, mujoco.mjtFontScale.mjFONTSCALE_50)
-            except mujoco.FatalError as error:
-                raise gl.GraphicsError(gl.explain(f"OpenGL does not work: {error}")) from error
+        try:
+            made = mujoco.MjrContext(small, mujoco.mjtFontScale.mjFONTSCALE_50)
+        except mujoco.FatalError as error:
+            mend = f"Install a newer driver, or Mesa's software renderer ({gl.INSTALL})."
+            raise gl.GraphicsError(gl.explain(f"OpenGL does not work: {error}", mend)) from error
         if not _TARGETS:
             atexit.register(_free)
         _TARGETS[key] = made
-    return _TARGETS[key]
+        return made
 
 
 def _free() -> None:
     """Frees OpenGL objects before their context, whose exit handler was registered earlier and runs later."""
-    with gl.context().as_current():
+    if gl.inherited():
+        return
+    with gl.drawing():
         while _TARGETS:
             _TARGETS.popitem()[1].free()

@@ -6,8 +6,9 @@ limits are those of the real hand.
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
+
+from acgd.tasks.simulator import mujoco
 
 Vector = tuple[float, ...]
 

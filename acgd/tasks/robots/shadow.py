@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from acgd.tasks.scene import Robot, rest
+from acgd.tasks.simulator import mujoco
 
 SIDES = ("right", "left")
 """Order of the hands in actions and observations, and prefixes of their names."""
