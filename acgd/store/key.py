@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -50,14 +50,13 @@ def key_of(identity: Mapping[str, Any]) -> str:
 def in_key(value: Any) -> Any:
     """`value` as JSON, without the fields that are declared with `json_schema_extra=OUTSIDE_KEY`.
 
-    A path is replaced by the digest of its file's or folder's content.
+    A path is replaced by the digest of its file's or folder's content. A section with a method `files_of(field)` names
+    the files of a folder that count.
     """
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
         return {
-            name: in_key(getattr(value, name))
-            for name, field in fields.items()
-            if not _outside_key(field.json_schema_extra)
+            name: _field(value, name) for name, field in fields.items() if not _outside_key(field.json_schema_extra)
         }
     if isinstance(value, Path):
         return content_digest(value)
@@ -69,11 +68,30 @@ def in_key(value: Any) -> Any:
 
 
 def content_digest(path: Path) -> str | dict[str, str]:
-    """SHA-256 of a file. For a folder: relative path -> SHA-256 of each file."""
+    """SHA-256 of a file. For a folder: relative path -> SHA-256 of each file.
+
+    Hidden files and folders are left out: they belong to git, to a download's cache or to a file browser.
+    """
     if path.is_dir():
         files = sorted(file for file in path.rglob("*") if file.is_file())
-        return {file.relative_to(path).as_posix(): file_digest(file) for file in files}
+        return _digests(path, [file for file in files if not _hidden(file.relative_to(path))])
     return file_digest(path)
+
+
+def _field(section: BaseModel, name: str) -> Any:
+    value = getattr(section, name)
+    if isinstance(value, Path) and hasattr(section, "files_of"):
+        return _digests(value, section.files_of(name))
+    return in_key(value)
+
+
+def _digests(folder: Path, files: Iterable[Path]) -> dict[str, str]:
+    """Relative path -> SHA-256."""
+    return {file.relative_to(folder).as_posix(): file_digest(file) for file in files}
+
+
+def _hidden(path: Path) -> bool:
+    return any(part.startswith(".") for part in path.parts)
 
 
 def file_digest(path: Path) -> str:

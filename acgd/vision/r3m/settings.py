@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, model_validator
 
 from acgd.settings import Section
+from acgd.vision.weights import check_torch
 
 
 class R3MConfig(Section):
@@ -23,4 +24,10 @@ class R3MConfig(Section):
         if self.path is None or not self.path.is_file():
             fault = "no path is set" if self.path is None else f"there is no file {self.path}"
             raise ValueError(f"{fault}, and backbone.kind is r3m: set backbone.path to the checkpoint (model.pt).")
+        try:
+            check_torch(self.path)
+        except ValueError as error:
+            raise ValueError(
+                f"{self.path} is no R3M checkpoint: {error} Set backbone.path to the published model.pt."
+            ) from error
         return self
