@@ -58,7 +58,7 @@ def test_the_patterns_match_something() -> None:
 def test_every_setting_can_be_set(
     page: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "model.pt").touch()  # the checkpoint that an example names
+    (tmp_path / "model.pt").write_bytes(b"\x80")  # the checkpoint that an example names
     monkeypatch.chdir(tmp_path)
     content = yaml.safe_load(value)
     for name in reversed(key.split(".")):

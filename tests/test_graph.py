@@ -318,11 +318,11 @@ def test_a_file_counts_by_its_content_wherever_it_lies(tmp_path):
         return planned({"backbone": {"kind": "r3m", "path": str(path)}}).names["acgd/backbone"][0].key
 
     here, there = tmp_path / "model.pt", tmp_path / "other.pt"
-    here.write_bytes(b"weights")
-    there.write_bytes(b"weights")
+    here.write_bytes(b"\x80weights")
+    there.write_bytes(b"\x80weights")
     same = backbone(here)
     assert backbone(there) == same
-    there.write_bytes(b"changed")
+    there.write_bytes(b"\x80changed")
     assert backbone(there) != same
 
 
