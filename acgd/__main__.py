@@ -93,6 +93,9 @@ def _parser() -> argparse.ArgumentParser:
     from acgd.experts import zoo_commands
 
     zoo_commands.add_parser(verbs)
+    from acgd.export import commands as export_commands
+
+    export_commands.add_parser(verbs)
     return parser
 
 
