@@ -11,5 +11,5 @@ $pip torch==2.13.0
 $pip torchvision==0.28.0 "datasets>=4,<5" "accelerate<2" "av>=15,<16" jsonlines==4.0.0 packaging termcolor tqdm \
     numpy==2.4.6 pandas pyarrow==25.0.1 h5py==3.16.0 pillow gymnasium==1.2.3 imageio psutil
 $pip --no-deps lerobot==0.4.4 minari==0.5.4 robomimic==0.3.0
-$pip typer typing_extensions
+$pip typer typing_extensions six matplotlib
 echo "$folder"
