@@ -197,5 +197,10 @@ def _schema(options: argparse.Namespace) -> None:
     write(options.docs)
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """The installed command `acgd`."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

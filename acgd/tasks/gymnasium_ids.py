@@ -1,16 +1,24 @@
-"""Gymnasium names of the tasks: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
+"""Gymnasium names of the tasks: `gymnasium.make("acgd/myo-key-turn-v0")`.
 
-Importing this module registers them.
+An installed package registers them when Gymnasium is imported (pyproject.toml). In a clone that is not installed,
+importing this module does: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
 """
 
 import gymnasium
 
 from acgd.tasks.spec import TASKS
 
-for _spec in TASKS.values():
-    gymnasium.register(
-        id=f"acgd/{_spec.slug}-v0",
-        entry_point="acgd.tasks.registry:make",
-        kwargs={"task": _spec.name},
-        disable_env_checker=True,
-    )
+
+def register() -> None:
+    """Register every task, unless that has been done."""
+    for spec in TASKS.values():
+        if (name := f"acgd/{spec.slug}-v0") not in gymnasium.registry:
+            gymnasium.register(
+                id=name,
+                entry_point="acgd.tasks.registry:make",
+                kwargs={"task": spec.name},
+                disable_env_checker=True,
+            )
+
+
+register()
