@@ -21,7 +21,15 @@ from acgd.tasks.spec import TASKS
 
 FOLDER = Path(__file__).parent
 PACKAGE = "acgd.tasks"
-LEFT_OUT = ("spec.py", "settings.py", "registry.py", "definition.py", "rendering/gl.py")
+LEFT_OUT = (
+    "__init__.py",
+    "spec.py",
+    "settings.py",
+    "registry.py",
+    "gymnasium_ids.py",
+    "definition.py",
+    "rendering/gl.py",
+)
 """Names, settings (a stage's request holds them), and how OpenGL is started: they define no task."""
 RENDERING = "rendering"
 CAMERA = "CAMERA"
