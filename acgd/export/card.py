@@ -42,8 +42,8 @@ def write_card(folder: Path, settings: Section, artifacts: Sequence[Path], use: 
         f"Settings of the format: `{settings.model_dump_json()}`. SHA256SUMS has the checksum of every file. Packages: "
         f"{', '.join(_versions())}. Python {platform.python_version()}.",
         "",
-        "Licence: Apache-2.0, as that of MyoSuite, whose models the MyoDex tasks are. The method is that of Srinivasan et "
-        "al., Asymmetric Critic Guided Distillation; see CITATION.cff of the project.",
+        "Licence: Apache-2.0, as that of MyoSuite, whose models the MyoDex tasks are. The method is that of Srinivasan "
+        "et al., Asymmetric Critic Guided Distillation; see CITATION.cff of the project.",
         "",
     ]
     (folder / "README.md").write_text("\n".join(lines), encoding="utf-8")
@@ -85,8 +85,8 @@ def _expert(folder: Path) -> str:
 def _student(folder: Path) -> list[str]:
     meta, made = json.loads((folder / "student.json").read_text()), manifest(folder)
     lines = [
-        f"Kind `{meta['kind']}`, guidance `{meta['guidance_kind']}`, round {meta['round']}, training seed {meta['seed']}, "
-        f"artifact `{folder.resolve().name}`. Its tasks, by number: "
+        f"Kind `{meta['kind']}`, guidance `{made['request']['guidance']['kind']}`, round {meta['round']}, training seed "
+        f"{meta['seed']}, artifact `{folder.resolve().name}`. Its tasks, by number: "
         + ", ".join(f"{place} {name}" for place, name in enumerate(meta["tasks"]))
         + ".",
         "",
@@ -100,7 +100,12 @@ def _student(folder: Path) -> list[str]:
         "|---|---|---|---|---|",
     ]
     rows = [_row(row) for folder in downstream(folder, "evaluation", "student") for row in _final(folder)]
-    return [*lines, *(rows or ["| not evaluated | | | | |"]), "", f"Settings: `{json.dumps(made['request']['student'])}`."]
+    return [
+        *lines,
+        *(rows or ["| not evaluated | | | | |"]),
+        "",
+        f"Settings: `{json.dumps(made['request']['student'])}`.",
+    ]
 
 
 def _final(folder: Path) -> list[dict[str, Any]]:

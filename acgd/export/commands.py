@@ -36,9 +36,7 @@ def add_parser(subparsers) -> None:
 
 def settings_of(subject: str, format: str, given: list[str]) -> Section:
     """The settings of a format. ArtifactError names what is wrong."""
-    fitting = [
-        name for name, kind in EXPORTS.items() if set(imported(kind.settings).stages) <= set(SUBJECTS[subject])
-    ]
+    fitting = [name for name, kind in EXPORTS.items() if set(imported(kind.settings).stages) <= set(SUBJECTS[subject])]
     if format not in fitting:
         raise ArtifactError(f"{subject} cannot be exported as {format!r}; formats of {subject}: {', '.join(fitting)}")
     values: dict[str, Any] = {}

@@ -14,6 +14,7 @@ class LeRobotSettings(Section):
 
     kind: Literal["lerobot"] = "lerobot"
     images: Literal["png", "mp4"] = Field(
-        "png", description="Images as lossless PNG in the parquet files, or as H.264 films, which are smaller and lossy."
+        "png",
+        description="Images as lossless PNG in the parquet files, or as H.264 films: smaller and lossy.",
     )
     crf: int = Field(14, ge=0, le=51, description="With mp4: quality of the films; lower is better and larger.")

@@ -133,7 +133,7 @@ class _Dataset:
     def _write(self, columns: dict[str, Any]) -> None:
         arrays = [_array(columns[field.name], field.type) for field in self.schema]
         table = pa.Table.from_arrays(arrays, schema=self.schema)
-        if self.writer and self.in_file + table.nbytes > DATA_MB << 20:
+        if self.writer and self.in_file + table.nbytes > DATA_MB * 2**20:
             self.writer.close()
             self.writer, self.file, self.in_file = None, self.file + 1, 0
         if self.writer is None:

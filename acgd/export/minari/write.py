@@ -1,8 +1,8 @@
 """Minari's datasets: `acgd/<task>/<name>-v<version>/data/` with main_data.hdf5 and metadata.json.
 
 The environment's specification in the metadata is one that `gymnasium.make` resolves where this package is installed.
-The group `acgd` of an episode, which Minari reads past, holds the simulator's state before the first action and what the
-reset wrote into the model: with both the episode is replayed.
+The group `acgd` of an episode, which Minari reads past, holds the simulator's state before the first action and what
+the reset wrote into the model: with both the episode is replayed.
 """
 
 import json

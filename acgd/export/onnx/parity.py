@@ -53,7 +53,10 @@ def random_inputs(recorded: Inputs, rng: np.random.Generator) -> Inputs:
 
 
 def measure(session, graph: Graph, policy: Policy, inputs: list[Inputs]) -> Parity:
-    """session: of onnxruntime. Each step starts from the torch module's memory, so that differences do not add up."""
+    """session: of onnxruntime, or None for module and policy alone.
+
+    Each step starts from the torch module's memory, so that differences do not add up.
+    """
     rows = [row for one in inputs for row in _steps(session, graph, policy, one)]
     table = np.concatenate(rows)
     counted = table[table[:, 3] >= TIE]
@@ -63,25 +66,31 @@ def measure(session, graph: Graph, policy: Policy, inputs: list[Inputs]) -> Pari
 
 @torch.inference_mode()
 def _steps(session, graph: Graph, policy: Policy, inputs: Inputs) -> Iterator[np.ndarray]:
-    """For each step (n, 4): differences of action, memory and policy, and the margin. A row whose policy has met a tie is
-    left out from there on: its memory holds another choice."""
+    """For each step (n, 4): differences of action, memory and policy, and the margin.
+
+    A row whose policy has met a tie is not compared to the policy from there on: its memory may hold another choice.
+    """
     n = inputs.images.shape[1]
     task = np.full(n, inputs.task)
     memory, own = graph.begin(n), policy.start(task, inputs.goal_images, list(range(n)))
     least = np.full(n, np.inf)
     for image, proprio in zip(inputs.images, inputs.proprio):
         given = [torch.from_numpy(value) for value in (image, proprio, task, inputs.goals)]
-        fed = dict(zip(INPUTS, (image, proprio, task, inputs.goals)))
-        fed |= {MEMORY + name: value.numpy() for name, value in memory.items()}
         margin = _margin(graph, given, memory)
         wanted = [value.numpy() for value in graph(*given, *memory.values())]
-        got = session.run(None, {one.name: fed[one.name] for one in session.get_inputs()})
+        got = wanted if session is None else _run(session, (image, proprio, task, inputs.goals), memory)
         acted, own = policy.act({"image": image, "proprio": proprio}, own)
         differences = [_largest(a, b) for a, b in zip(got, wanted)]
         least = np.minimum(least, margin)
         of_policy = np.where(least < TIE, 0.0, _largest(acted, wanted[0]))
         yield np.stack([differences[0], np.max(differences[1:], axis=0), of_policy, margin], 1)
         memory = dict(zip(memory, map(torch.from_numpy, wanted[1:])))
+
+
+def _run(session, given: tuple[np.ndarray, ...], memory: dict[str, torch.Tensor]) -> list[np.ndarray]:
+    """Outputs of the model. Inputs that the student does not use are not in it."""
+    fed = dict(zip(INPUTS, given)) | {MEMORY + name: value.numpy() for name, value in memory.items()}
+    return session.run(None, {one.name: fed[one.name] for one in session.get_inputs()})
 
 
 def _margin(graph: Graph, given: list[torch.Tensor], memory: dict[str, torch.Tensor]) -> np.ndarray:

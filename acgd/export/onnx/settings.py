@@ -14,7 +14,9 @@ class OnnxSettings(Section):
     stages: ClassVar[tuple[str, ...]] = ("student",)
 
     kind: Literal["onnx"] = "onnx"
-    weights: Literal["best", "last"] = Field("best", description="Weights of least validation loss, or of the last step.")
+    weights: Literal["best", "last"] = Field(
+        "best", description="Weights of least validation loss, or of the last step."
+    )
     acting: ActingConfig | None = Field(
         None, description="How chunks become actions; without it as in the student's evaluation, else the default."
     )

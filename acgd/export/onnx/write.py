@@ -41,7 +41,9 @@ def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> st
     (artifact,) = artifacts
     backbones, recordings = upstream(artifact, "backbone"), _recordings(artifact)
     if not backbones:
-        raise ArtifactError(f"the backbone of {artifact} is no longer in the store: run the workflow, which makes it anew")
+        raise ArtifactError(
+            f"the backbone of {artifact} is no longer in the store: run the workflow, which makes it anew"
+        )
     cpu = torch.device("cpu")
     student = load_student(artifact, settings.weights, cpu).requires_grad_(False)
     backbone = None if student.sizes.owns_cnn else load_backbone(backbones[0], cpu)
@@ -52,12 +54,14 @@ def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> st
         goals = [torch.from_numpy(each) if backbone is None else backbone(torch.from_numpy(each)) for each in images]
     graph = Graph(backbone, stepping_of(student, acting), goals).eval()
     inputs = [_recorded(one, place, images[place]) for place, one in enumerate(recordings)]
-    _export(graph, inputs[0], folder / FILE)
-    tasks = json.loads((artifact / "student.json").read_text())["tasks"]
-    _describe(folder / FILE, artifact, tasks, graph, acting, recordings)
-    policy = policy_of(student, backbone, acting, tasks=tasks, rows=CHECKED_ROWS)
     rng = np.random.default_rng(0)
-    parity = measure(session_of(folder / FILE), graph, policy, inputs + [random_inputs(one, rng) for one in inputs])
+    inputs += [random_inputs(one, rng) for one in inputs]
+    tasks = json.loads((artifact / "student.json").read_text())["tasks"]
+    policy = policy_of(student, backbone, acting, tasks=tasks, rows=CHECKED_ROWS)
+    _check(measure(None, graph, policy, inputs), student.settings.kind)
+    _export(graph, inputs[0], folder / FILE)
+    _describe(folder / FILE, artifact, tasks, graph, acting, recordings)
+    parity = measure(session_of(folder / FILE), graph, policy, inputs)
     _check(parity, student.settings.kind)
     return USE.format(acting=acting.mode, eta=acting.eta, inputs=_listed(graph), **vars(parity), bound=BOUND)
 
