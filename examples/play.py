@@ -1,4 +1,4 @@
-"""Plays an exported student: python examples/play.py student.onnx [--episodes 25] [--task myo/reach]. Needs no torch."""
+"""Plays an exported student, without torch: python examples/play.py student.onnx [--episodes 25] [--task myo/reach]."""
 
 import argparse
 import json

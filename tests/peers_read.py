@@ -2,8 +2,8 @@
 
     python peers_read.py lerobot|robomimic|minari <folder> <result.npz>
 
-The result holds `<episode>/<name>` -> array: action, proprio, state, image where they are read, and what the library says
-of the whole.
+The result holds `<episode>/<name>` -> array, name being action, proprio, state or image, and what the library says of
+the whole.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Exports: every number comes back, by the libraries that the formats are of where they are installed; episodes replay."""
+"""Exports: every number comes back, read by the formats' own libraries where these are installed; episodes replay."""
 
 import json
 import os

@@ -42,7 +42,7 @@ def read(folder: Path, *, images: bool = False) -> Iterator[OutsideEpisode]:
 
 
 def replay(episodes: Iterable[OutsideEpisode]) -> Iterator[Replayed]:
-    """Every episode from its first state by its actions. ArtifactError for episodes that do not say where they begin."""
+    """Every episode from its first state by its actions. ArtifactError where one does not say where it begins."""
     env, made = None, None
     for episode in episodes:
         begin = episode.beginning

@@ -1,7 +1,7 @@
 """Gymnasium names of the tasks: `gymnasium.make("acgd/myo-key-turn-v0")`.
 
-`import acgd.tasks` has them registered; `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")` needs no import
-of its own.
+`import acgd.tasks` has them registered; `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")` needs no
+import of its own.
 """
 
 import gymnasium

@@ -164,23 +164,33 @@ def _check(parity: Parity, kind: str) -> None:
 
 
 def _listed(graph: Graph) -> str:
-    rows = [f"`{MEMORY}{name}` {('B', *shape)}" for name, (shape, _) in graph.stepping.memory.items()]
-    return ", ".join(rows).replace("'", "")
+    """Rows of the card's table."""
+    rows = []
+    for name, (shape, kind) in graph.stepping.memory.items():
+        sizes = f"({', '.join(map(str, ('B', *shape)))}{'' if shape else ','})"
+        rows.append(f"| `{MEMORY}{name}` | {sizes} {str(kind).removeprefix('torch.')} | memory |")
+    return "\n".join(rows)
 
 
 USE = """\
 `student.onnx` is all of it: backbone, normaliser, networks, and the goal images of its training. Nothing of torch is
 needed to run it.
 
-Inputs, for any number B of episodes side by side: `image` (B, H, W, 3) uint8, `proprio` (B, P) float32, `task` (B) int64,
-the task's number, `goal` (B) int64, the number of one of the task's goal images (without meaning where the student was
-trained without), and the memory: {inputs}. It is zero before an episode's first step. Outputs: `action` (B, A) in
-[-1, 1], and the next memory, `next.` in place of `memory.`. (Inputs that a student does not use are not in the file.) Chunks
-become actions by `{acting}`, eta {eta}. The file's metadata have the tasks' names, starts and time limits, the numbers of
-goal images and the size of the image.
+| input | shape | what |
+|---|---|---|
+| `image` | (B, H, W, 3) uint8 | for any number B of episodes side by side |
+| `proprio` | (B, P) float32 | |
+| `task` | (B,) int64 | number of the task |
+| `goal` | (B,) int64 | number of one of the task's goal images |
+{inputs}
 
-Largest difference to the student in torch, on recorded and random inputs: actions {action:.1e}, memory {memory:.1e}, over
-{steps} steps; {ties} steps more, in which the two likeliest choices lie within {bound:.0e} of each other, are left out.
+The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, `next.` in
+place of `memory.`. Inputs that a student does not use are not in the file. Chunks become actions by `{acting}`,
+eta {eta}. The file's metadata have the tasks' names, starts and time limits, their numbers of goal images and the size
+of the image.
+
+Largest difference to the student in torch, on recorded and random inputs: actions {action:.1e}, memory {memory:.1e},
+over {steps} steps. Left out are {ties} steps in which the two likeliest choices lie within {bound:.0e} of each other.
 
 Run it in the simulator: `python examples/play.py <this folder>/student.onnx`.
 """

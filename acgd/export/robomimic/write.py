@@ -1,7 +1,7 @@
-"""robomimic's HDF5: `data/demo_<i>` with `obs`, `next_obs`, `actions`, `states`, ..., and the masks `train` and `valid`.
+"""robomimic's HDF5: `data/demo_<i>` with `obs`, `next_obs`, `actions`, `states`, ...; masks `train` and `valid`.
 
-`states` is MuJoCo's mjSTATE_INTEGRATION before each action. The group `model_fields` of a demonstration, which robomimic
-reads past, holds what its reset wrote into the model: with both it is replayed in the simulator.
+`states` is MuJoCo's mjSTATE_INTEGRATION before each action. The group `model_fields` of a demonstration, which
+robomimic reads past, holds what its reset wrote into the model: with both it is replayed in the simulator.
 """
 
 import json
@@ -68,7 +68,8 @@ def _write_episode(demo: h5py.Group, episode: Recording) -> None:
 
 USE = """\
 One file of robomimic for each task, with the masks `train` and `valid`: this project's own split of the episodes.
-Observations: `image` (rgb), `proprio` and, for a policy that is not to act from images, the privileged `state` (low_dim).
+Observations: `image` (rgb), `proprio` (low_dim), and the privileged `state` (low_dim), which a policy that is to act from
+images must not read.
 `mean_action` is the expert's mean action, `actions` what was executed.
 
 ```python
