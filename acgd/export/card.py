@@ -85,8 +85,8 @@ def _expert(folder: Path) -> str:
 def _student(folder: Path) -> list[str]:
     meta, made = json.loads((folder / "student.json").read_text()), manifest(folder)
     lines = [
-        f"Kind `{meta['kind']}`, guidance `{made['request']['guidance']['kind']}`, round {meta['round']}, training seed "
-        f"{meta['seed']}, artifact `{folder.resolve().name}`. Its tasks, by number: "
+        f"Kind `{meta['kind']}`, guidance `{made['request']['guidance']['kind']}`, round {meta['round']}, training "
+        f"seed {meta['seed']}, artifact `{folder.resolve().name}`. Its tasks, by number: "
         + ", ".join(f"{place} {name}" for place, name in enumerate(meta["tasks"]))
         + ".",
         "",

@@ -184,8 +184,8 @@ needed to run it.
 | `goal` | (B,) int64 | number of one of the task's goal images |
 {inputs}
 
-The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, `next.` in
-place of `memory.`. Inputs that a student does not use are not in the file. Chunks become actions by `{acting}`,
+The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, `next.`
+in place of `memory.`. Inputs that a student does not use are not in the file. Chunks become actions by `{acting}`,
 eta {eta}. The file's metadata have the tasks' names, starts and time limits, their numbers of goal images and the size
 of the image.
 

@@ -68,8 +68,8 @@ def _write_episode(demo: h5py.Group, episode: Recording) -> None:
 
 USE = """\
 One file of robomimic for each task, with the masks `train` and `valid`: this project's own split of the episodes.
-Observations: `image` (rgb), `proprio` (low_dim), and the privileged `state` (low_dim), which a policy that is to act from
-images must not read.
+Observations: `image` (rgb), `proprio` (low_dim), and the privileged `state` (low_dim), which a policy that is to act
+from images must not read.
 `mean_action` is the expert's mean action, `actions` what was executed.
 
 ```python
