@@ -1,4 +1,4 @@
-"""A task, an expert, a film, a dataset, a student: python examples/tour.py [film.mp4] [dataset's folder] [student.onnx]."""
+"""A task, an expert, a film, a dataset and a student: python examples/tour.py [film.mp4] [dataset] [student.onnx]."""
 
 import sys
 from pathlib import Path

@@ -56,7 +56,6 @@ def _list(args: argparse.Namespace) -> int:
 
 def _verify(args: argparse.Namespace) -> int:
     from acgd.experts.card import check, other_versions
-
     from acgd.experts.zoo_manifest import faults
 
     bad = 0

@@ -1,4 +1,4 @@
-"""zoo/manifest.json: what the zoo holds as a release, and what defines each of its tasks; a page to read for each expert."""
+"""zoo/manifest.json: what the zoo holds as a release, and what defines its tasks; a page to read for each expert."""
 
 import json
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import Any
 from acgd.experts import zoo
 from acgd.store.key import file_digest
 from acgd.tasks.definition import definition, packages
-from acgd.tasks.spec import TASKS, TaskSpec
+from acgd.tasks.spec import TaskSpec
 
 FILE, PAGE = "manifest.json", "README.md"
 
@@ -69,8 +69,8 @@ def page(spec: TaskSpec, folder: Path) -> str:
             "",
             f"The goal: {spec.goal}. An episode has at most {spec.horizon} steps, and starts are {card['start']}.",
             "",
-            f"Trained by {card['algorithm']} in {card['steps']:,} steps with seed {card['seed']}, from the privileged state; "
-            f"{critic}. Licence: Apache-2.0.",
+            f"Trained by {card['algorithm']} in {card['steps']:,} steps with seed {card['seed']}, from the privileged "
+            f"state. {critic} Licence: Apache-2.0.",
             "",
             f"Over {card['episodes']} held-out episodes from seed {card['first_seed']} on, with 95 % intervals:",
             "",

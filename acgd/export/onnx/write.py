@@ -59,7 +59,7 @@ def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> st
     tasks = json.loads((artifact / "student.json").read_text())["tasks"]
     policy = policy_of(student, backbone, acting, tasks=tasks, rows=CHECKED_ROWS)
     _check(measure(None, graph, policy, inputs), student.settings.kind)
-    _export(graph, inputs[0], folder / FILE)
+    export(graph, inputs[0], folder / FILE)
     _describe(folder / FILE, artifact, tasks, graph, acting, recordings)
     parity = measure(session_of(folder / FILE), graph, policy, inputs)
     _check(parity, student.settings.kind)
@@ -111,7 +111,8 @@ def _recorded(recordings: Recordings, place: int, goal_images: np.ndarray) -> In
     return Inputs(images, proprio, place, goals, goal_images[goals])
 
 
-def _export(graph: Graph, inputs: Inputs, file: Path) -> None:
+def export(graph: Graph, inputs: Inputs, file: Path) -> None:
+    """The model alone, without metadata. `inputs`: EXAMPLE_ROWS episodes or more; their first step is the example."""
     rows = EXAMPLE_ROWS
     task, goal = torch.full((rows,), inputs.task), torch.from_numpy(inputs.goals[:rows])
     seen = [torch.from_numpy(value[0, :rows]) for value in (inputs.images, inputs.proprio)]
