@@ -1,0 +1,197 @@
+"""A student as one ONNX file, checked against the student before it is handed out."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor
+
+from acgd.export.artifacts import downstream, manifest, upstream
+from acgd.export.onnx.graph import INPUTS, MEMORY, NEXT, Graph
+from acgd.export.onnx.parity import Inputs, Parity, measure, random_inputs
+from acgd.export.onnx.settings import OnnxSettings
+from acgd.export.onnx.stepping import stepping_of
+from acgd.export.recording import Recordings
+from acgd.rollouts.store import read_rows
+from acgd.store.store import ArtifactError
+from acgd.students.load import load_student, policy_of
+from acgd.students.settings import ActingConfig
+from acgd.tasks.spec import TASKS
+from acgd.vision.backbones import load as load_backbone
+
+FILE = "student.onnx"
+BOUND = 1e-5
+"""Largest difference to the student that an export may have."""
+OPSET, IR_VERSION = 18, 10
+"""That onnxruntime 1.20 reads, too."""
+CHECKED_STEPS, CHECKED_ROWS = 40, 3
+EXAMPLE_ROWS = 3
+
+
+@torch.no_grad()
+def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> str:
+    """student.onnx. ArtifactError where it differs from the student by more than BOUND."""
+    if len(artifacts) != 1:
+        raise ArtifactError(
+            f"the name stands for {len(artifacts)} students: name one, such as results/<study>/<variant>/seed-0/student"
+        )
+    (artifact,) = artifacts
+    backbones, recordings = upstream(artifact, "backbone"), _recordings(artifact)
+    if not backbones:
+        raise ArtifactError(
+            f"the backbone of {artifact} is no longer in the store: run the workflow, which makes it anew"
+        )
+    cpu = torch.device("cpu")
+    student = load_student(artifact, settings.weights, cpu).requires_grad_(False)
+    backbone = None if student.sizes.owns_cnn else load_backbone(backbones[0], cpu)
+    acting = settings.acting or _acting(artifact)
+    images = [_goal_images(one, settings.goals) for one in recordings]
+    goals = None
+    if student.imitation.goal_image != "off":
+        goals = [torch.from_numpy(each) if backbone is None else backbone(torch.from_numpy(each)) for each in images]
+    graph = Graph(backbone, stepping_of(student, acting), goals).eval()
+    inputs = [_recorded(one, place, images[place]) for place, one in enumerate(recordings)]
+    rng = np.random.default_rng(0)
+    inputs += [random_inputs(one, rng) for one in inputs]
+    tasks = json.loads((artifact / "student.json").read_text())["tasks"]
+    policy = policy_of(student, backbone, acting, tasks=tasks, rows=CHECKED_ROWS)
+    _check(measure(None, graph, policy, inputs), student.settings.kind)
+    export(graph, inputs[0], folder / FILE)
+    _describe(folder / FILE, artifact, tasks, graph, acting, recordings)
+    parity = measure(session_of(folder / FILE), graph, policy, inputs)
+    _check(parity, student.settings.kind)
+    return USE.format(acting=acting.mode, eta=acting.eta, inputs=_listed(graph), **vars(parity), bound=BOUND)
+
+
+def session_of(file: Path):
+    """An onnxruntime session on one core."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+
+
+def _recordings(artifact: Path) -> list[Recordings]:
+    """The demonstrations of each of the student's tasks, in their order."""
+    recordings = [Recordings.load(folder) for folder in upstream(artifact, "rollouts")]
+    if len(recordings) < len(manifest(artifact)["inputs"]["rollouts"]):
+        raise ArtifactError(
+            f"rollouts that {artifact} was trained on are no longer in the store, and its goal images are in them: "
+            "run the workflow, which makes them anew"
+        )
+    return recordings
+
+
+def _acting(artifact: Path) -> ActingConfig:
+    """As in the first evaluation of the student that the store has."""
+    for evaluation in downstream(artifact, "evaluation", "student"):
+        return ActingConfig(**manifest(evaluation)["request"]["acting"])
+    return ActingConfig()
+
+
+def _goal_images(recordings: Recordings, most: int) -> np.ndarray:
+    """(G, H, W, 3) uint8: the last frames of the demonstrations."""
+    return recordings.demonstrations.arrays["final_image"][:most]
+
+
+def _recorded(recordings: Recordings, place: int, goal_images: np.ndarray) -> Inputs:
+    """The first steps of a few demonstrations."""
+    demos = recordings.demonstrations
+    rows = np.arange(CHECKED_ROWS) % len(demos.episode_ends)
+    steps = int(min(CHECKED_STEPS, demos.lengths.min()))
+    starts = demos.episode_starts[rows]
+    path = recordings.folder / "rollouts.zarr"
+    images = np.stack([read_rows(path, "image", int(start), int(start) + steps) for start in starts], 1)
+    proprio = np.stack([demos.arrays["proprio"][start : start + steps] for start in starts], 1)
+    goals = rows % len(goal_images)
+    return Inputs(images, proprio, place, goals, goal_images[goals])
+
+
+def export(graph: Graph, inputs: Inputs, file: Path) -> None:
+    """The model alone, without metadata. `inputs`: EXAMPLE_ROWS episodes or more; their first step is the example."""
+    rows = EXAMPLE_ROWS
+    task, goal = torch.full((rows,), inputs.task), torch.from_numpy(inputs.goals[:rows])
+    seen = [torch.from_numpy(value[0, :rows]) for value in (inputs.images, inputs.proprio)]
+    memory: list[Tensor] = list(graph.begin(rows).values())
+    batch = torch.export.Dim("batch", min=1)
+    torch.onnx.export(
+        graph,
+        (*seen, task, goal, *memory),
+        file,
+        dynamo=True,
+        external_data=False,
+        optimize=True,
+        verbose=False,
+        opset_version=OPSET,
+        input_names=[*INPUTS, *(MEMORY + name for name in graph.names)],
+        output_names=["action", *(NEXT + name for name in graph.names)],
+        dynamic_shapes=({0: batch}, {0: batch}, {0: batch}, {0: batch}, tuple({0: batch} for _ in memory)),
+    )
+
+
+def _describe(
+    file: Path, artifact: Path, tasks: list[str], graph: Graph, acting: ActingConfig, recordings: list[Recordings]
+) -> None:
+    """Writes into the model what its user has to know."""
+    model = onnx.load(file)
+    model.ir_version = IR_VERSION
+    notes = {
+        "tasks": tasks,
+        "starts": [one.task.start for one in recordings],
+        "horizons": [TASKS[name].horizon for name in tasks],
+        "goals": [0] * len(tasks) if graph.counts is None else graph.counts.tolist(),
+        "image_size": recordings[0].image_size,
+        "acting": acting.model_dump(),
+        "artifact": artifact.resolve().name,
+    }
+    for name, value in notes.items():
+        model.metadata_props.add(key=name, value=json.dumps(value))
+    onnx.checker.check_model(model)
+    onnx.save(model, file)
+
+
+def _check(parity: Parity, kind: str) -> None:
+    if parity.policy > BOUND:
+        raise ArtifactError(
+            f"a student of kind {kind} acts otherwise than by its chunks (difference {parity.policy:.1e}): "
+            "its kind must offer `stepping` (acgd/export/onnx/stepping.py)"
+        )
+    if max(parity.action, parity.memory) > BOUND or not parity.steps:
+        raise ArtifactError(f"the model differs from the student by {max(parity.action, parity.memory):.1e}: {parity}")
+
+
+def _listed(graph: Graph) -> str:
+    """Rows of the card's table."""
+    rows = []
+    for name, (shape, kind) in graph.stepping.memory.items():
+        sizes = f"({', '.join(map(str, ('B', *shape)))}{'' if shape else ','})"
+        rows.append(f"| `{MEMORY}{name}` | {sizes} {str(kind).removeprefix('torch.')} | memory |")
+    return "\n".join(rows)
+
+
+USE = """\
+`student.onnx` is all of it: backbone, normaliser, networks, and the goal images of its training. Nothing of torch is
+needed to run it.
+
+| input | shape | what |
+|---|---|---|
+| `image` | (B, H, W, 3) uint8 | for any number B of episodes side by side |
+| `proprio` | (B, P) float32 | |
+| `task` | (B,) int64 | number of the task |
+| `goal` | (B,) int64 | number of one of the task's goal images |
+{inputs}
+
+The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, `next.`
+in place of `memory.`. Inputs that a student does not use are not in the file. Chunks become actions by `{acting}`,
+eta {eta}. The file's metadata have the tasks' names, starts and time limits, their numbers of goal images and the size
+of the image.
+
+Largest difference to the student in torch, on recorded and random inputs: actions {action:.1e}, memory {memory:.1e},
+over {steps} steps. Left out are {ties} steps in which the two likeliest choices lie within {bound:.0e} of each other.
+
+Run it in the simulator: `python examples/play.py <this folder>/student.onnx`.
+"""
