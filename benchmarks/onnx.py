@@ -10,7 +10,6 @@ import torch
 
 from acgd.export.onnx.graph import INPUTS, MEMORY, Graph
 from acgd.export.onnx.parity import Inputs
-from acgd.export.onnx.stepping import stepping_of
 from acgd.export.onnx.write import export, session_of
 from acgd.students.acgd.settings import ACGDConfig
 from acgd.students.load import new_student
@@ -31,7 +30,7 @@ def run() -> list[Row]:
     backbone = Privileged(64, [TARGETS] * TASKS).eval()
     sizes = Sizes(backbone.dim, PROPRIO, ACTIONS, TASKS, owns_cnn=False)
     student = new_student(ACGDConfig(), ImitationConfig(), sizes).eval().requires_grad_(False)
-    graph = Graph(backbone, stepping_of(student, ActingConfig()), [torch.zeros(1, backbone.dim)] * TASKS).eval()
+    graph = Graph(backbone, student, ActingConfig(), [torch.zeros(1, backbone.dim)] * TASKS).eval()
     rng = np.random.default_rng(0)
     images = rng.integers(0, 256, (1, ROWS, IMAGE, IMAGE, 3), dtype=np.uint8)
     inputs = Inputs(images, np.zeros((1, ROWS, PROPRIO), np.float32), 0, np.zeros(ROWS, np.int64), None)

@@ -11,7 +11,7 @@ from acgd.tasks import registry
 
 
 def play(file, only=None, episodes=25):
-    """Task -> successes, of episodes on the seeds that evaluations have."""
+    """Runs episodes on the seeds of evaluations. Returns task -> number of successes."""
     session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
     notes = {k: json.loads(v) for k, v in session.get_modelmeta().custom_metadata_map.items()}
     fed = {one.name: one for one in session.get_inputs()}
@@ -24,7 +24,11 @@ def play(file, only=None, episodes=25):
         env = registry.make({"name": task, "start": notes["starts"][number]}, image_size=notes["image_size"])
         for seed in SEEDS.evaluation.take(episodes):
             observation, info = env.reset(seed=seed)
-            goal = np.random.default_rng([seed, 2]).integers(max(notes["goals"][number], 1))  # as evaluations choose it
+            if notes["goal"] == "vector":
+                goal = np.zeros(fed["goal"].shape[1:], np.float32)
+                goal[: len(env.goal_vector())] = env.goal_vector()
+            else:  # as evaluations choose it
+                goal = np.random.default_rng([seed, 2]).integers(max(notes["goals"][number], 1))
             given = {"task": np.array([number]), "goal": np.array([goal])}
             given |= {n: np.zeros((1, *f.shape[1:]), kinds[f.type]) for n, f in fed.items() if n.startswith("memory.")}
             done = False

@@ -19,12 +19,11 @@ from acgd.export.destination import SUMS
 from acgd.export.kinds import EXPORTS
 from acgd.export.onnx.graph import Graph
 from acgd.export.onnx.parity import Inputs, measure
-from acgd.export.onnx.stepping import stepping_of
 from acgd.export.recording import Recordings
 from acgd.export.replay import read, replay
 from acgd.settings import imported
 from acgd.store.job import make
-from acgd.store.store import Store
+from acgd.store.store import ArtifactError, Store
 from acgd.students.kinds import STUDENTS as STUDENT_KINDS
 from acgd.students.load import new_student, policy_of
 from acgd.students.settings import ActingConfig, ImitationConfig
@@ -76,10 +75,12 @@ def made(tmp_path_factory):
         "variants": {
             "acgd": {"guidance": {"kind": "none"}},
             "bc": {"student": {"kind": "bc", "width": 16}, "guidance": {"kind": "none"}},
-            "scratch": {"backbone": {"kind": "scratch", "dim": 8}, "imitation": {"goal_image": "own"}},
+            "scratch": {"backbone": {"kind": "scratch", "dim": 8}, "imitation": {"goal": "own"}},
+            "bc_rnn": {"student": {"kind": "bc_rnn", "width": 16}, "imitation": {"goal": "vector", "frames": 2}},
         },
     }
     content["variants"]["scratch"] |= {"student": {"kind": "bc", "width": 16}, "guidance": {"kind": "none"}}
+    content["variants"]["bc_rnn"] |= {"guidance": {"kind": "none"}}
     study, store = load_study(content), Store(folder / "results")
     planned = plan(study)
 
@@ -283,21 +284,72 @@ def test_a_foreign_dataset_is_not_replayed(exported, tmp_path, capsys):
 # -- students -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", ["ensemble-paper", "ensemble-act", "first", "open-loop"])
-@pytest.mark.parametrize("kind", STUDENTS)
-def test_one_step_as_a_function_is_the_policy(kind, mode):
+MODES = ["ensemble-paper", "ensemble-act", "first", "open-loop"]
+STEPPED = [(kind, mode, {}) for kind in ("acgd", "act", "chunk") for mode in MODES]
+STEPPED += [(kind, "ensemble-paper", {}) for kind in ("bc", "bc_rnn")]
+STEPPED += [
+    (kind, "ensemble-paper", imitation)
+    for kind in STUDENTS
+    for imitation in ({"frames": 3, "frame_stride": 2, "goal": "off"}, {"goal": "vector"})
+]
+G = 4
+"""Numbers in a commanded goal, of which the task has one fewer."""
+
+
+def untrained(kind, mode, imitation):
+    """A student of nine steps of three episodes: module, policy and inputs."""
     torch.manual_seed(0)
     settings = imported(STUDENT_KINDS[kind].settings)(**STUDENTS[kind])
-    student = new_student(settings, ImitationConfig(), Sizes(F, P, A, 2, owns_cnn=False)).eval()
-    backbone = Pixels()
-    rng, acting = np.random.default_rng(0), ActingConfig(mode=mode, eta=0.3)
-    goals = rng.integers(0, 256, (3, 8, 8, 3), dtype=np.uint8)
+    imitation, acting = ImitationConfig(**imitation), ActingConfig(mode=mode, eta=0.3)
+    vector, backbone = imitation.goal == "vector", Pixels()
+    sizes = Sizes(F, P, A, 2, owns_cnn=False, goal=G if vector else 0)
+    student = new_student(settings, imitation, sizes).eval().requires_grad_(False)
+    rng = np.random.default_rng(0)
     images = rng.integers(0, 256, (9, 3, 8, 8, 3), dtype=np.uint8)
     proprio = rng.normal(size=(9, 3, P)).astype(np.float32)
-    graph = Graph(backbone, stepping_of(student, acting), [backbone(torch.from_numpy(goals))] * 2)
+    numbers, known = np.array([0, 1, 2]), rng.integers(0, 256, (3, 8, 8, 3), dtype=np.uint8)
+    inputs = Inputs(images, proprio, 1, numbers, known)
+    if vector:
+        commanded = rng.normal(size=(3, G - 1)).astype(np.float32)
+        inputs = inputs._replace(goals=np.pad(commanded, ((0, 0), (0, 1))), policy_goals=commanded)
+    goals = [backbone(torch.from_numpy(known))] * 2 if imitation.goal == "any" else None
     policy = policy_of(student, backbone, acting, tasks=["one", "two"], rows=3)
-    parity = measure(None, graph, policy, [Inputs(images, proprio, 1, np.array([0, 1, 2]), goals)])
+    return Graph(backbone, student, acting, goals).eval(), policy, inputs
+
+
+@pytest.mark.parametrize(("kind", "mode", "imitation"), STEPPED)
+def test_one_step_as_a_function_is_the_policy(kind, mode, imitation):
+    graph, policy, inputs = untrained(kind, mode, imitation)
+    parity = measure(None, graph, policy, [inputs])
     assert parity.steps == 27 and parity.policy < 1e-6
+
+
+@pytest.mark.parametrize("kind", STUDENTS)
+def test_the_model_of_every_kind_is_the_student(kind, tmp_path):
+    pytest.importorskip("onnx", reason="requirements.txt names it")
+    from acgd.export.onnx.write import export, session_of
+
+    graph, policy, inputs = untrained(kind, "ensemble-paper", {"frames": 2, "frame_stride": 2, "goal": "vector"})
+    with torch.no_grad():
+        export(graph, inputs, tmp_path / "student.onnx")
+    pair = Inputs(inputs.images[:, :2], inputs.proprio[:, :2], inputs.task, inputs.goals[:2], inputs.policy_goals[:2])
+    parity = measure(session_of(tmp_path / "student.onnx"), graph, policy, [inputs, pair])
+    assert parity.steps == 27 + 18 and max(parity.action, parity.memory, parity.policy) < 1e-5
+
+
+@pytest.mark.parametrize("change", [{"reset": False}, {"head": "l1"}, {"modes": 1}])
+def test_one_step_of_a_recurrent_student_is_its_policy(change, monkeypatch):
+    monkeypatch.setitem(STUDENTS, "bc_rnn", STUDENTS["bc_rnn"] | change)
+    graph, policy, inputs = untrained("bc_rnn", "first", {})
+    assert measure(None, graph, policy, [inputs]).policy < 1e-6
+
+
+def test_a_recurrent_kind_must_say_how_it_acts(monkeypatch):
+    from acgd.students.bc_rnn.model import BCRNN
+
+    monkeypatch.delattr(BCRNN, "stepping")
+    with pytest.raises(ArtifactError, match="bc_rnn is recurrent.*must offer `stepping`"):
+        untrained("bc_rnn", "first", {})
 
 
 class Pixels(torch.nn.Module):
@@ -307,14 +359,14 @@ class Pixels(torch.nn.Module):
         return images.flatten(1)[:, :F].float() / 255
 
 
-@pytest.mark.parametrize(("variant", "acting"), [("acgd", "ensemble-paper"), ("scratch", "first")])
-def test_a_student_as_onnx_is_the_student(made, tmp_path, variant, acting):
+@pytest.mark.parametrize("variant", ["acgd", "scratch", "bc_rnn"])
+def test_a_student_as_onnx_is_the_student(made, tmp_path, variant):
     pytest.importorskip("onnx", reason="requirements.txt names it")
     name, out = f"{made}/{variant}/seed-0/student", tmp_path / "out"
-    setting = f"acting.mode={acting}"
-    assert main(["export", "student", name, "--format", "onnx", "--out", str(out), "--set", setting]) == 0
+    assert main(["export", "student", name, "--format", "onnx", "--out", str(out), "--set", "acting.eta=0.5"]) == 0
     card = (out / "README.md").read_text()
     assert "Largest difference to the student in torch" in card and "| task | condition |" in card
+    assert ("eta 0.5" in card) == (variant == "acgd") and ("(B, G) float32" in card) == (variant == "bc_rnn")
     sys.path.insert(0, str(ROOT / "examples"))
     try:
         from play import play
@@ -322,6 +374,8 @@ def test_a_student_as_onnx_is_the_student(made, tmp_path, variant, acting):
         sys.path.pop(0)
     if variant == "acgd":
         assert set(play(str(out / "student.onnx"), episodes=1)) == {"myo/obj-hold", "myo/reach"}
+    if variant == "bc_rnn":
+        assert set(play(str(out / "student.onnx"), "myo/obj-hold", episodes=1)) == {"myo/obj-hold"}
 
 
 def test_a_kind_that_acts_otherwise_must_say_how(made, tmp_path, capsys, monkeypatch):

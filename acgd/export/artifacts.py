@@ -1,4 +1,4 @@
-"""Which artifacts an export reads: named by their folder, or by a name of a study."""
+"""The artifacts that an export reads, given by their folder or by a name of a study."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -9,7 +9,7 @@ from acgd.store.store import MANIFEST, ArtifactError, damages
 
 
 def manifest(folder: Path) -> dict[str, Any]:
-    """What the artifact was made of, and its checksums. ArtifactError where the folder holds none."""
+    """Request, inputs and checksums of an artifact. ArtifactError where the folder holds none."""
     try:
         return json.loads((Path(folder) / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -17,9 +17,10 @@ def manifest(folder: Path) -> dict[str, Any]:
 
 
 def named(name: Path, stages: Sequence[str]) -> list[Path]:
-    """Folders of the whole artifacts of one of the `stages` that a folder or a name of a study stands for.
+    """Folders of the artifacts that `name` stands for. ArtifactError for a damaged one, or one of another stage.
 
-    A name is a small file such as results/<study>/<variant>/<task>/rollouts, which lists folders.
+    name: the folder of an artifact; or a small file such as results/<study>/<variant>/<task>/rollouts, which lists
+    folders.
     """
     if (name / MANIFEST).is_file():
         folders = [name]
@@ -27,7 +28,7 @@ def named(name: Path, stages: Sequence[str]) -> list[Path]:
         try:
             lines = name.read_text(encoding="utf-8").split()
         except UnicodeDecodeError as error:
-            raise ArtifactError(f"{name} is no name of a study: it is no text") from error
+            raise ArtifactError(f"{name} is no name of a study: it is not text") from error
         folders = [_listed(name, line) for line in lines]
     else:
         raise ArtifactError(
@@ -40,7 +41,7 @@ def named(name: Path, stages: Sequence[str]) -> list[Path]:
 
 
 def _listed(name: Path, line: str) -> Path:
-    """A folder as a name's file lists it: relative to where the workflow ran, which is above the file."""
+    """The folder of a line in the file of a name. It is relative to the folder of the workflow, above the file."""
     for above in (Path(), *name.resolve().parents):
         if (above / line / MANIFEST).is_file():
             return above / line
@@ -48,22 +49,22 @@ def _listed(name: Path, line: str) -> Path:
 
 
 def _check(folder: Path, stages: Sequence[str]) -> None:
-    said = manifest(folder)
-    if said["stage"] not in stages:
-        raise ArtifactError(f"{folder} is of the stage {said['stage']}; this format takes {' or '.join(stages)}")
-    if faults := damages(folder, said["payload"]):
+    content = manifest(folder)
+    if content["stage"] not in stages:
+        raise ArtifactError(f"{folder} is of the stage {content['stage']}; this format takes {' or '.join(stages)}")
+    if faults := damages(folder, content["payload"]):
         raise ArtifactError(f"{folder} is damaged: {'; '.join(faults[:3])}. Type: python -m acgd verify --repair")
 
 
 def upstream(folder: Path, role: str) -> list[Path]:
-    """Folders of the artifacts that one was made from; those that are no longer in the store are left out."""
+    """Folders of an artifact's inputs of one role, as far as they are still in the store."""
     keys = manifest(folder)["inputs"].get(role, [])
-    found = [_with_key(folder, key) for key in ([keys] if isinstance(keys, str) else keys)]
-    return [path for path in found if path is not None]
+    paths = [_with_key(folder, key) for key in ([keys] if isinstance(keys, str) else keys)]
+    return [path for path in paths if path is not None]
 
 
 def downstream(folder: Path, stage: str, role: str) -> Iterator[Path]:
-    """Folders of the artifacts of a stage that were made from one."""
+    """Folders of the artifacts of a stage that have an artifact as input."""
     key = Path(folder).resolve().name
     for path in sorted(_store(folder).glob(f"{stage}/*/*/{MANIFEST}")):
         inputs = manifest(path.parent)["inputs"].get(role, [])

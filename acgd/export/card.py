@@ -1,4 +1,4 @@
-"""The card of an export: README.md, for people and for the hubs that read its first lines."""
+"""The card of an export: README.md, whose first lines hubs read."""
 
 import json
 import platform
@@ -16,11 +16,11 @@ HEADS = {
     "configs:\n- config_name: default\n  data_files: data/*/*.parquet\n",
     "onnx": "tags:\n- robotics\n- onnx\n- acgd\n",
 }
-"""Lines that a hub reads, besides the licence."""
+"""Format -> lines that a hub reads besides the licence."""
 
 
 def write_card(folder: Path, settings: Section, artifacts: Sequence[Path], use: str, command: str) -> None:
-    """README.md: what it is, where it comes from, and how to read it."""
+    """Writes README.md: content, origin and use of the export."""
     student = manifest(artifacts[0])["stage"] == "student"
     lines = [
         "---",
@@ -64,7 +64,7 @@ def _rollouts(artifacts: Sequence[Path]) -> list[str]:
 
 
 def _seeds(folder: Path) -> str:
-    """First and last."""
+    """First and last seed."""
     from acgd.rollouts.store import read_group
 
     seeds = read_group(folder / "rollouts.zarr", ["seed"])["seed"]
@@ -72,7 +72,7 @@ def _seeds(folder: Path) -> str:
 
 
 def _expert(folder: Path) -> str:
-    """Its learner and success, from its card, where the store has one."""
+    """Learner and success of the expert, from its card; the expert's key where the store has no card."""
     for expert in upstream(folder, "expert"):
         for card in downstream(expert, "card", "expert"):
             content = json.loads((card / "card.json").read_text())

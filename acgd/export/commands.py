@@ -13,18 +13,18 @@ from acgd.settings import Section, imported
 from acgd.store.store import ArtifactError
 
 SUBJECTS = {"rollouts": ("rollouts", "onpolicy"), "student": ("student",)}
-"""What is exported -> the stages that it comes from."""
+"""Subject of an export -> stages of its artifacts."""
 
 
 def add_parser(subparsers) -> None:
-    """Add `export rollouts | student` and `replay` to the command line."""
+    """Adds `export rollouts | student` and `replay` to the command line."""
     export = subparsers.add_parser("export", help="write rollouts or a student in a format that other projects read")
     export.add_argument("subject", choices=SUBJECTS)
     export.add_argument(
         "name", type=Path, help="folder of an artifact, or a name such as results/<study>/<variant>/rollouts"
     )
     export.add_argument("--format", required=True, help=f"one of {', '.join(EXPORTS)}")
-    export.add_argument("--out", type=Path, required=True, metavar="folder", help="empty, or not there yet")
+    export.add_argument("--out", type=Path, required=True, metavar="folder", help="empty or absent")
     export.add_argument(
         "--set", action="append", default=[], metavar="key=value", help="a setting of the format, such as images=mp4"
     )
@@ -35,7 +35,7 @@ def add_parser(subparsers) -> None:
 
 
 def settings_of(subject: str, format: str, given: list[str]) -> Section:
-    """The settings of a format. ArtifactError names what is wrong."""
+    """The settings of a format from `given` key=value pairs. ArtifactError names the fault."""
     fitting = [name for name, kind in EXPORTS.items() if set(imported(kind.settings).stages) <= set(SUBJECTS[subject])]
     if format not in fitting:
         raise ArtifactError(f"{subject} cannot be exported as {format!r}; formats of {subject}: {', '.join(fitting)}")
@@ -57,7 +57,7 @@ def settings_of(subject: str, format: str, given: list[str]) -> Section:
 
 
 def export(settings: Section, name: Path, out: Path, command: str) -> list[Path]:
-    """Writes the export with its card and checksums, and returns the artifacts that it was made from."""
+    """Writes the export with card and checksums. Returns its artifacts."""
     from acgd.export.artifacts import named
     from acgd.export.card import write_card
     from acgd.export.destination import check, filled, write_sums

@@ -1,4 +1,4 @@
-"""The folder that an export fills: it is whole, or not there, and nothing is overwritten."""
+"""The folder of an export. It appears when it is complete, and nothing is overwritten."""
 
 import contextlib
 import hashlib
@@ -13,14 +13,14 @@ SUMS = "SHA256SUMS"
 
 
 def check(folder: Path) -> None:
-    """ArtifactError where the folder holds something."""
+    """Raises ArtifactError where the folder is not empty."""
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-        raise ArtifactError(f"{folder} holds something already: name a folder that is empty or not there")
+        raise ArtifactError(f"{folder} holds something already: name a folder that is empty or absent")
 
 
 @contextlib.contextmanager
 def filled(folder: Path) -> Iterator[Path]:
-    """A draft beside the folder, which takes its place when all has been written."""
+    """A draft beside the folder. It is renamed to the folder at the end of the context."""
     check(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
@@ -34,7 +34,7 @@ def filled(folder: Path) -> Iterator[Path]:
 
 
 def write_sums(folder: Path) -> str:
-    """Writes SHA256SUMS, as sha256sum does, over all files, and returns the SHA-256 of that file."""
+    """Writes SHA256SUMS of all files in the form of sha256sum. Returns the SHA-256 of that file."""
     lines = []
     for file in sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS):
         with file.open("rb") as content:

@@ -1,7 +1,7 @@
-"""All formats of export: one line and one folder each.
+"""The registry of export formats: one line and one folder per format.
 
-The code of a format is `write(settings, artifacts, folder) -> str`: it writes the artifacts' content into an empty
-folder, and returns what the card says of the format. A student's format is given one artifact.
+The code of a format is a function `write(settings, artifacts, folder) -> str`. It writes the artifacts' content into an
+empty folder, and returns the card's text on the format. A format of students gets one artifact.
 """
 
 from acgd.settings import Kind

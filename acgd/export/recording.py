@@ -1,4 +1,4 @@
-"""Recorded episodes as every format of datasets reads them: task by task, one episode in memory at a time."""
+"""Recorded episodes, which all formats of datasets read: one task after another, one episode in memory at a time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -56,22 +56,22 @@ class Recordings:
 
     @classmethod
     def load(cls, folder: Path) -> "Recordings":
-        """Arrays are read when they are first asked for."""
+        """Reads the manifest. Arrays are read at their first use."""
         return cls(Path(folder), manifest(folder))
 
     @property
     def task(self) -> TaskConfig:
-        """With the start that its episodes have."""
+        """Task and start of the episodes."""
         return TaskConfig(**self.manifest["request"]["task"])
 
     @property
     def image_size(self) -> int:
-        """Pixels a side."""
+        """Height and width of the images, pixels."""
         return self.manifest["request"]["image"]["size"]
 
     @property
     def instruction(self) -> str:
-        """What is to be done, in words: unique to the task."""
+        """The instruction in words, unique to the task."""
         return f"{self.task.name}: {TASKS[self.task.name].code().__doc__.splitlines()[0].split(': ', 1)[-1]}"
 
     @cached_property
@@ -86,7 +86,7 @@ class Recordings:
 
     @cached_property
     def demonstrations(self) -> Demonstrations:
-        """Everything but the images."""
+        """All arrays except the images."""
         optional = [name for name in self.stored if name in OPTIONAL or name.startswith(FIELDS)]
         return Demonstrations.load(self.folder, [*STEPS, *FINAL, *OUTCOMES, *optional])
 
@@ -122,7 +122,7 @@ class Recordings:
 
 
 def load_all(folders: Sequence[Path]) -> list[Recordings]:
-    """One for each task. ArtifactError where two are of the same task."""
+    """Recordings of several tasks. ArtifactError where two are of the same task."""
     every = [Recordings.load(folder) for folder in folders]
     tasks = [one.task.name for one in every]
     if len(set(tasks)) < len(tasks):

@@ -1,4 +1,4 @@
-"""Exported episodes in the simulator again, from the exported files alone."""
+"""Replays exported episodes in the simulator, from the exported files only."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ ACTIONS = ("actions", "action")
 
 @dataclass(frozen=True)
 class Replayed:
-    """One episode and what came of it."""
+    """A replayed episode."""
 
     task: str
     seed: int
     recorded: bool
     """Success of the recording at its last step."""
     replayed: bool
-    """And of the replay."""
+    """Success of the replay at its last step."""
     states: np.ndarray
     """(T + 1, S) float32, the privileged state."""
 
 
 def read(folder: Path, *, images: bool = False) -> Iterator[OutsideEpisode]:
-    """The episodes of an export, of whatever format. ArtifactError where it is none."""
+    """The episodes of an exported dataset of any format. ArtifactError for another folder."""
     if (folder / "meta/info.json").is_file():
         return lerobot.episodes(folder, images=images)
     if any(folder.glob("*.hdf5")):
@@ -42,12 +42,12 @@ def read(folder: Path, *, images: bool = False) -> Iterator[OutsideEpisode]:
 
 
 def replay(episodes: Iterable[OutsideEpisode]) -> Iterator[Replayed]:
-    """Every episode from its first state by its actions. ArtifactError where one does not say where it begins."""
+    """Replays the actions of every episode from its first state. ArtifactError for an episode without a first state."""
     env, made = None, None
     for episode in episodes:
         begin = episode.beginning
         if begin is None:
-            raise ArtifactError(f"an episode of {episode.task} does not say where it begins: it is no export of acgd")
+            raise ArtifactError(f"an episode of {episode.task} has no first state: it is no export of acgd")
         config = TaskConfig(**begin.task)
         if config != made:
             env, made = registry.make(config, image_size=None), config

@@ -1,30 +1,31 @@
-"""Images of a dataset as one H.264 film after another."""
+"""Writes the images of a dataset as H.264 films."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 
 FRAMES_AT_MOST = 200_000
-"""Of one film: some 200 MB of small images."""
+"""Most frames of one film: some 200 MB of small images."""
 
 
 class Films:
-    """Episodes end to end in films; a film is closed when it is full."""
+    """Films that hold episodes one after another. A full film is closed, and the next one begins."""
 
-    def __init__(self, path: "callable", size: int, fps: int, crf: int) -> None:
-        """path: number of a film -> where it goes. size: pixels a side."""
+    def __init__(self, path: Callable[[int], Path], size: int, fps: int, crf: int) -> None:
+        """path: number of a film -> its file. size: height and width, pixels."""
         self.path, self.size, self.fps, self.crf = path, size, fps, crf
         self.number, self.frames = 0, 0
         self._writer = None
 
     @property
     def pixel_format(self) -> str:
-        """Half the resolution in colour where sizes are even, as most decoders want it."""
+        """Half the resolution in colour where the size is even, which most decoders need."""
         return "yuv420p" if self.size % 2 == 0 else "yuv444p"
 
     def add(self, images: np.ndarray) -> tuple[int, float, float]:
-        """images (T, H, W, 3) uint8 -> number of the film, and from when to when in it, in seconds."""
+        """Adds images (T, H, W, 3) uint8. Returns the number of the film, and first and last time in it, s."""
         if self.frames and self.frames + len(images) > FRAMES_AT_MOST:
             self.close()
             self.number, self.frames = self.number + 1, 0
@@ -36,7 +37,7 @@ class Films:
         return self.number, start / self.fps, self.frames / self.fps
 
     def close(self) -> None:
-        """Finish the film that is being written."""
+        """Closes the current film."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -51,7 +52,7 @@ class Films:
             pix_fmt_out=self.pixel_format,
             macro_block_size=1,
             quality=None,
-            # a key frame every other frame, so that any frame is read at once; one thread, so that bytes repeat
+            # A key frame every other frame makes random access fast. One thread makes the bytes reproducible.
             output_params=["-crf", str(self.crf), "-g", "2", "-threads", "1", "-bf", "0"],
         )
         writer.send(None)

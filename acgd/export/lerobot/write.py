@@ -1,7 +1,7 @@
 """LeRobotDataset v3.0: data/*.parquet, meta/info.json, stats.json, tasks.parquet and episodes/*.parquet, videos/*.mp4.
 
-Written in LeRobot's layout; meta/acgd.json and the columns `acgd/...` of meta/episodes are this project's: with them an
-episode is replayed in the simulator. LeRobot reads past them.
+The layout is LeRobot's. This project adds meta/acgd.json and the columns `acgd/...` of meta/episodes, from which an
+episode is replayed in the simulator. LeRobot ignores them.
 """
 
 import json
@@ -28,12 +28,12 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK, DATA_MB, VIDEO_MB = 1000, 100, 200
 EXTRA = "acgd/"
-"""Prefix of the columns of meta/episodes that are this project's."""
+"""Prefix of this project's columns in meta/episodes."""
 IMAGE = pa.struct({"bytes": pa.binary(), "path": pa.string()})
 
 
 def write(settings: LeRobotSettings, artifacts: Sequence[Path], folder: Path) -> str:
-    """One dataset of all tasks."""
+    """Writes one dataset of all tasks."""
     tasks = load_all(artifacts)
     _check_sizes(tasks)
     dataset = _Dataset(settings, tasks, folder)
@@ -45,7 +45,7 @@ def write(settings: LeRobotSettings, artifacts: Sequence[Path], folder: Path) ->
 
 
 class _Dataset:
-    """What has been written so far."""
+    """A dataset that is being written."""
 
     def __init__(self, settings: LeRobotSettings, tasks: list[Recordings], folder: Path) -> None:
         self.tasks, self.folder = tasks, folder
@@ -64,7 +64,7 @@ class _Dataset:
         self.statistics: list[dict[str, statistics.Statistics]] = []
 
     def add(self, number: int, episode: Recording) -> None:
-        """number: of the task."""
+        """Adds an episode of the task of that number."""
         columns, length = self._columns(number, episode), episode.length
         self._write(columns)
         row: dict[str, Any] = {
@@ -91,7 +91,7 @@ class _Dataset:
         self.frames += length
 
     def close(self) -> None:
-        """Everything that can be said only at the end."""
+        """Closes the files, and writes what depends on all episodes."""
         if self.writer:
             self.writer.close()
         if self.films:
@@ -177,7 +177,7 @@ class _Dataset:
 
 
 def _check_sizes(tasks: list[Recordings]) -> None:
-    """A dataset has one size of each feature; only the privileged state is padded."""
+    """Raises ArtifactError where sizes of features differ between tasks. Only the privileged state is padded."""
     for what, sizes in (
         ("image", [task.image_size for task in tasks]),
         ("proprio", [task.size("proprio") for task in tasks]),
@@ -219,7 +219,7 @@ def _feature(dtype: str, shape: list[int], names: list[str] | None = None) -> di
 
 
 def _schema(features: dict[str, dict[str, Any]]) -> pa.Schema:
-    """Columns of the parquet files: films are not in them."""
+    """Columns of the parquet files, which hold no films."""
     plain = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 
     def column(feature: dict[str, Any]) -> pa.DataType:
@@ -238,7 +238,7 @@ def _array(values: Any, kind: pa.DataType) -> pa.Array:
 
 
 def _png(image: np.ndarray) -> dict[str, Any]:
-    """Lossless, in the order of channels that everybody but OpenCV expects."""
+    """An image as PNG. OpenCV expects the channels in reverse order."""
     written, content = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 3])
     if not written:
         raise RuntimeError("OpenCV cannot write PNG")
@@ -246,8 +246,8 @@ def _png(image: np.ndarray) -> dict[str, Any]:
 
 
 def _film_info(size: int, fps: int, pixel_format: str) -> dict[str, Any]:
-    seen = {"height": size, "width": size, "codec": "h264", "pix_fmt": pixel_format, "fps": fps, "channels": 3}
-    return {f"video.{name}": value for name, value in seen.items()} | {"video.is_depth_map": False, "has_audio": False}
+    video = {"height": size, "width": size, "codec": "h264", "pix_fmt": pixel_format, "fps": fps, "channels": 3}
+    return {f"video.{name}": value for name, value in video.items()} | {"video.is_depth_map": False, "has_audio": False}
 
 
 def _described(task: Recordings) -> dict[str, Any]:
@@ -262,11 +262,11 @@ def _described(task: Recordings) -> dict[str, Any]:
 
 
 USE = """\
-LeRobotDataset v3.0 with {tasks} task(s). `observation.state` is the robot's proprioception, `{camera}` what its camera
-saw. `observation.environment_state` is the privileged state, zero-padded to the widest task's: a policy that is to act
-from images must not read it. `expert.action` is the expert's mean action, `action` what was executed. `index` and
-`timestamp` count control steps; where tasks differ in their control step, `fps` is the commonest one's, and
-meta/acgd.json has each.
+LeRobotDataset v3.0 with {tasks} task(s). `observation.state` is the robot's proprioception, `{camera}` the camera
+image. `observation.environment_state` is the privileged state, zero-padded to the widest task's: a policy that acts
+from images must not read it. `expert.action` is the expert's mean action, `action` the executed action. `index` and
+`timestamp` count control steps. Where tasks differ in their control step, `fps` is that of most tasks, and
+meta/acgd.json has the control step of each task.
 
 ```python
 from lerobot.datasets.lerobot_dataset import LeRobotDataset

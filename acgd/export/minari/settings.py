@@ -8,7 +8,7 @@ from acgd.settings import Section
 
 
 class MinariSettings(Section):
-    """Minari's HDF5 datasets, one for each task. The exported folder is what MINARI_DATASETS_PATH names."""
+    """Minari's HDF5 datasets, one for each task. MINARI_DATASETS_PATH is the exported folder."""
 
     stages: ClassVar[tuple[str, ...]] = ("rollouts", "onpolicy")
 

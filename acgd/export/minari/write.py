@@ -1,8 +1,8 @@
 """Minari's datasets: `acgd/<task>/<name>-v<version>/data/` with main_data.hdf5 and metadata.json.
 
-The environment's specification in the metadata is one that `gymnasium.make` resolves where this package is installed.
-The group `acgd` of an episode, which Minari reads past, holds the simulator's state before the first action and what
-the reset wrote into the model: with both the episode is replayed.
+`gymnasium.make` resolves the environment's specification in the metadata where this package is installed. The group
+`acgd` of an episode holds the simulator's state before the first action and the fields of the model that the reset
+wrote. From both an episode is replayed in the simulator. Minari ignores the group.
 """
 
 import json
@@ -22,12 +22,12 @@ from acgd.tasks import registry
 from acgd.tasks.spec import TASKS
 
 MINARI = "0.5.4"
-"""Version of the layout: since this one images may be stored as they are."""
+"""Version of the layout, the first with raw images."""
 OBSERVATIONS = ("image", "proprio", "state")
 
 
 def write(settings: MinariSettings, artifacts: Sequence[Path], folder: Path) -> str:
-    """One dataset for each task."""
+    """Writes one dataset for each task."""
     names = []
     for task in load_all(artifacts):
         names.append(f"acgd/{TASKS[task.task.name].slug}/{settings.name}-v{settings.version}")
@@ -51,15 +51,15 @@ def _write_episode(group: h5py.Group, number: int, episode: Recording) -> None:
     put(group, "terminations", last & terminated)
     put(group, "truncations", last & (not terminated))
     put(group.create_group("infos"), "solved", np.concatenate([[False], steps["solved"]]))
-    own = group.create_group("acgd")
-    put(own, "integration", steps["integration"][0])
+    extra = group.create_group("acgd")
+    put(extra, "integration", steps["integration"][0])
     for name, value in episode.model_fields.items():
-        put(own.require_group("model_fields"), name, value)
-    own.require_group("model_fields")
+        put(extra.require_group("model_fields"), name, value)
+    extra.require_group("model_fields")
     for name in ("mean_action", "by_expert"):
         if name in steps:
-            put(own, name, steps[name])
-    own.attrs["outcome"] = json.dumps(episode.outcome)
+            put(extra, name, steps[name])
+    extra.attrs["outcome"] = json.dumps(episode.outcome)
     group.attrs.update({"id": number, "seed": episode.seed, "total_steps": episode.length})
 
 
@@ -89,7 +89,7 @@ def _metadata(task: Recordings, name: str, size: int) -> dict[str, Any]:
 
 
 def _space(space: gymnasium.Space) -> dict[str, Any]:
-    """As Minari writes boxes, and dictionaries of them."""
+    """A box, or a dictionary of boxes, in the form of Minari."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {"type": "Dict", "subspaces": {name: _space(part) for name, part in space.spaces.items()}}
     bounds = {"low": space.low.tolist(), "high": space.high.tolist()}
@@ -97,8 +97,8 @@ def _space(space: gymnasium.Space) -> dict[str, Any]:
 
 
 USE = """\
-Datasets of Minari. Images are stored as they are, which Minari reads from version 0.5.4 on. Observations hold `image`,
-`proprio` and the privileged `state`: a policy that is to act from images must not read the last.
+Datasets of Minari. Images are raw, which Minari reads from version 0.5.4 on. Observations hold `image`, `proprio` and
+the privileged `state`, which a policy that acts from images must not read.
 
 ```python
 import os

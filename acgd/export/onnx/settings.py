@@ -9,7 +9,7 @@ from acgd.students.settings import ActingConfig
 
 
 class OnnxSettings(Section):
-    """A student as one ONNX file: images, proprioception and a task's number go in, actions come out."""
+    """A student as one ONNX file, from images, proprioception and a task's number to actions."""
 
     stages: ClassVar[tuple[str, ...]] = ("student",)
 
@@ -18,6 +18,6 @@ class OnnxSettings(Section):
         "best", description="Weights of least validation loss, or of the last step."
     )
     acting: ActingConfig | None = Field(
-        None, description="How chunks become actions; without it as in the student's evaluation, else the default."
+        None, description="How chunks become actions. Without it as in the student's evaluation, else the default."
     )
-    goals: int = Field(64, ge=1, description="Goal images of each task that the model holds, at most.")
+    goals: int = Field(64, ge=1, description="Most goal images of each task in the model.")

@@ -1,9 +1,9 @@
-"""A student's policy as a pure function of tensors, for one step: what ONNX can hold.
+"""The policy of a student as a pure function of tensors for one step, which ONNX can hold.
 
-A kind of student whose policy plans chunks by `plan` and joins them as `ChunkPolicy` does needs nothing for it. A kind
-that acts otherwise offers `stepping(acting) -> Stepping` of its own. A kind whose plan is not continuous, because it
-chooses between codes, offers `margin(observation) -> (B,)`: by how much the choice leads, in the group where that is
-least. Steps in which it hardly leads say nothing about rounding.
+A kind of student whose policy is ChunkPolicy, or executes the one action of `plan`, needs no code for it. Another kind
+has a method `stepping(acting) -> Stepping`. A kind that chooses, for example between codes, has a plan that is not
+continuous. It has a method `margin(observation) -> (B,)`: the lead of the likeliest choice, in the group where the lead
+is smallest. Rounding may change a choice with almost no lead, so such steps say nothing about a model's error.
 """
 
 from typing import Protocol
@@ -11,6 +11,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from acgd.store.store import ArtifactError
 from acgd.students.data import Observation
 from acgd.students.settings import ActingConfig
 from acgd.students.student import Student
@@ -20,7 +21,7 @@ Memory = dict[str, Tensor]
 
 
 class Stepping(Protocol):
-    """An nn.Module that takes one step."""
+    """An nn.Module that takes one step. It may have `margin`, with the arguments of a call -> (B,)."""
 
     memory: dict[str, tuple[tuple[int, ...], torch.dtype]]
     """Name -> shape of a row, and type."""
@@ -28,11 +29,14 @@ class Stepping(Protocol):
     def __call__(
         self, vision: Tensor, goal: Tensor | None, proprio: Tensor, task: Tensor, memory: Memory
     ) -> tuple[Tensor, Memory]:
-        """Vision and goal as in Observation, proprio (B, P), task (B,) -> actions (B, A), memory of the next step."""
+        """Vision and goal as in Observation, proprio (B, P), task (B,) -> actions (B, A), memory of the next step.
+
+        `memory` has one more entry, which the caller updates: `steps` (B,) int64, actions taken so far.
+        """
 
 
 class Chunks(nn.Module):
-    """What ChunkPolicy does, for all of its modes; with chunks of one action and no history, what BCPolicy does."""
+    """The function of ChunkPolicy in all of its modes. With chunks of one action and no history that of BCPolicy."""
 
     def __init__(self, student: Student, acting: ActingConfig) -> None:
         super().__init__()
@@ -40,26 +44,23 @@ class Chunks(nn.Module):
         settings, sizes = student.settings, student.sizes
         self.chunk = settings.chunk
         chunks = {"first": (), "open-loop": (1,)}.get(acting.mode, (self.chunk,))
-        self.memory = {"steps": ((), torch.int64), "proprio": ((settings.history, sizes.proprio), torch.float32)}
+        self.memory = {"proprio": ((settings.history, sizes.proprio), torch.float32)}
         if chunks:
             self.memory["chunks"] = ((*chunks, self.chunk, sizes.actions), torch.float32)
 
     def observation(
         self, vision: Tensor, goal: Tensor | None, proprio: Tensor, task: Tensor, memory: Memory
     ) -> Observation:
-        """With the history of proprioception; on the first step that step's fills it."""
-        newest = proprio[:, None]
-        moved = torch.cat([memory["proprio"][:, 1:], newest], 1)
-        history = torch.where((memory["steps"] == 0)[:, None, None], newest.expand_as(moved), moved)
-        return Observation(vision, goal, history, task)
+        """The observation with the history of proprioception."""
+        return Observation(vision, goal, appended(memory["proprio"], proprio, memory["steps"]), task)
 
     def forward(
         self, vision: Tensor, goal: Tensor | None, proprio: Tensor, task: Tensor, memory: Memory
     ) -> tuple[Tensor, Memory]:
-        """As Stepping says."""
+        """See Stepping."""
         observation, steps = self.observation(vision, goal, proprio, task, memory), memory["steps"]
         plan = self.student.plan(observation)
-        after = {"steps": steps + 1, "proprio": observation.proprio}
+        after = {"proprio": observation.proprio}
         if self.acting.mode == "first":
             return plan[:, 0], after
         if self.acting.mode == "open-loop":
@@ -73,13 +74,13 @@ class Chunks(nn.Module):
         return (weights[..., None] * predictions.double()).sum(1).float(), after | {"chunks": chunks}
 
     def margin(self, vision: Tensor, goal: Tensor | None, proprio: Tensor, task: Tensor, memory: Memory) -> Tensor:
-        """(B,), infinite for a student whose plan is continuous."""
+        """(B,) lead of the likeliest choice. Infinite for a student whose plan is continuous."""
         if not hasattr(self.student, "margin"):
             return torch.full((len(task),), torch.inf)
         return self.student.margin(self.observation(vision, goal, proprio, task, memory))
 
     def _weights(self, oldest: Tensor) -> Tensor:
-        """Of acgd.students.ensembling: (B,) age of each row's oldest prediction -> (B, k) float64."""
+        """As in acgd.students.ensembling: age of each row's oldest prediction (B,) -> (B, k) float64."""
         ages = torch.arange(self.chunk)
         made = ages <= oldest[:, None]
         order = ages.expand_as(made) if self.acting.mode == "ensemble-paper" else oldest[:, None] - ages
@@ -88,6 +89,19 @@ class Chunks(nn.Module):
 
 
 def stepping_of(student: Student, acting: ActingConfig) -> Stepping:
-    """The kind's own, else that of chunks."""
-    own = getattr(student, "stepping", None)
-    return own(acting) if own else Chunks(student, acting)
+    """The stepping of the kind, else Chunks. ArtifactError for a recurrent kind without one."""
+    if hasattr(student, "stepping"):
+        return student.stepping(acting)
+    if student.settings.recurrent:
+        raise ArtifactError(
+            f"a student of kind {student.settings.kind} is recurrent and does not act by chunks: "
+            "its kind must offer `stepping` (acgd/export/onnx/stepping.py)"
+        )
+    return Chunks(student, acting)
+
+
+def appended(kept: Tensor, newest: Tensor, steps: Tensor) -> Tensor:
+    """Appends `newest` (B, D) to `kept` (B, n, D), oldest first. On a row's first step it fills all n places."""
+    newest = newest[:, None]
+    moved = torch.cat([kept[:, 1:], newest], 1)
+    return torch.where((steps == 0)[:, None, None], newest.expand_as(moved), moved)

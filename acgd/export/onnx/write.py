@@ -1,4 +1,4 @@
-"""A student as one ONNX file, checked against the student before it is handed out."""
+"""A student as one ONNX file. The export fails where the file differs from the student."""
 
 import json
 from collections.abc import Sequence
@@ -13,27 +13,28 @@ from acgd.export.artifacts import downstream, manifest, upstream
 from acgd.export.onnx.graph import INPUTS, MEMORY, NEXT, Graph
 from acgd.export.onnx.parity import Inputs, Parity, measure, random_inputs
 from acgd.export.onnx.settings import OnnxSettings
-from acgd.export.onnx.stepping import stepping_of
 from acgd.export.recording import Recordings
+from acgd.rollouts.dataset import Demonstrations
 from acgd.rollouts.store import read_rows
 from acgd.store.store import ArtifactError
 from acgd.students.load import load_student, policy_of
 from acgd.students.settings import ActingConfig
+from acgd.students.student import Student
 from acgd.tasks.spec import TASKS
 from acgd.vision.backbones import load as load_backbone
 
 FILE = "student.onnx"
 BOUND = 1e-5
-"""Largest difference to the student that an export may have."""
+"""Largest allowed difference to the student."""
 OPSET, IR_VERSION = 18, 10
-"""That onnxruntime 1.20 reads, too."""
+"""Versions that onnxruntime 1.20 reads."""
 CHECKED_STEPS, CHECKED_ROWS = 40, 3
-EXAMPLE_ROWS = 3
+EXAMPLE_ROWS = 2
 
 
 @torch.no_grad()
 def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> str:
-    """student.onnx. ArtifactError where it differs from the student by more than BOUND."""
+    """Writes student.onnx. ArtifactError where it differs from the student by more than BOUND."""
     if len(artifacts) != 1:
         raise ArtifactError(
             f"the name stands for {len(artifacts)} students: name one, such as results/<study>/<variant>/seed-0/student"
@@ -48,22 +49,33 @@ def write(settings: OnnxSettings, artifacts: Sequence[Path], folder: Path) -> st
     student = load_student(artifact, settings.weights, cpu).requires_grad_(False)
     backbone = None if student.sizes.owns_cnn else load_backbone(backbones[0], cpu)
     acting = settings.acting or _acting(artifact)
-    images = [_goal_images(one, settings.goals) for one in recordings]
-    goals = None
-    if student.imitation.goal_image != "off":
+    images = goals = None
+    if student.imitation.goal in ("own", "any"):
+        images = [one.demonstrations.arrays["final_image"][: settings.goals] for one in recordings]
         goals = [torch.from_numpy(each) if backbone is None else backbone(torch.from_numpy(each)) for each in images]
-    graph = Graph(backbone, stepping_of(student, acting), goals).eval()
-    inputs = [_recorded(one, place, images[place]) for place, one in enumerate(recordings)]
+    graph = Graph(backbone, student, acting, goals).eval()
+    inputs = [
+        _recorded(one, place, images[place] if images else None, student.sizes.goal)
+        for place, one in enumerate(recordings)
+    ]
     rng = np.random.default_rng(0)
     inputs += [random_inputs(one, rng) for one in inputs]
     tasks = json.loads((artifact / "student.json").read_text())["tasks"]
     policy = policy_of(student, backbone, acting, tasks=tasks, rows=CHECKED_ROWS)
     _check(measure(None, graph, policy, inputs), student.settings.kind)
     export(graph, inputs[0], folder / FILE)
-    _describe(folder / FILE, artifact, tasks, graph, acting, recordings)
+    _describe(folder / FILE, artifact, tasks, graph, student.imitation.goal, acting, recordings)
     parity = measure(session_of(folder / FILE), graph, policy, inputs)
     _check(parity, student.settings.kind)
-    return USE.format(acting=acting.mode, eta=acting.eta, inputs=_listed(graph), **vars(parity), bound=BOUND)
+    return USE.format(
+        goals=GOALS[student.imitation.goal],
+        memory=_rows(graph),
+        acting=f"Chunks become actions by `{acting.mode}`, eta {acting.eta}. " if _plans_chunks(student) else "",
+        **{f"{name}_difference": getattr(parity, name) for name in ("action", "memory")},
+        steps=parity.steps,
+        ties=parity.ties,
+        bound=BOUND,
+    )
 
 
 def session_of(file: Path):
@@ -80,26 +92,24 @@ def _recordings(artifact: Path) -> list[Recordings]:
     recordings = [Recordings.load(folder) for folder in upstream(artifact, "rollouts")]
     if len(recordings) < len(manifest(artifact)["inputs"]["rollouts"]):
         raise ArtifactError(
-            f"rollouts that {artifact} was trained on are no longer in the store, and its goal images are in them: "
-            "run the workflow, which makes them anew"
+            f"rollouts that {artifact} was trained on are no longer in the store. Its goal images and the inputs of "
+            "its check are in them: run the workflow, which makes them anew"
         )
     return recordings
 
 
 def _acting(artifact: Path) -> ActingConfig:
-    """As in the first evaluation of the student that the store has."""
+    """The setting of the student's first evaluation in the store, else the default."""
     for evaluation in downstream(artifact, "evaluation", "student"):
         return ActingConfig(**manifest(evaluation)["request"]["acting"])
     return ActingConfig()
 
 
-def _goal_images(recordings: Recordings, most: int) -> np.ndarray:
-    """(G, H, W, 3) uint8: the last frames of the demonstrations."""
-    return recordings.demonstrations.arrays["final_image"][:most]
+def _recorded(recordings: Recordings, place: int, goal_images: np.ndarray | None, goal_size: int) -> Inputs:
+    """The first steps of a few demonstrations of the task number `place`.
 
-
-def _recorded(recordings: Recordings, place: int, goal_images: np.ndarray) -> Inputs:
-    """The first steps of a few demonstrations."""
+    goal_images (N, H, W, 3) of a student with goal images. goal_size: G of a student with commanded goals, else 0.
+    """
     demos = recordings.demonstrations
     rows = np.arange(CHECKED_ROWS) % len(demos.episode_ends)
     steps = int(min(CHECKED_STEPS, demos.lengths.min()))
@@ -107,12 +117,22 @@ def _recorded(recordings: Recordings, place: int, goal_images: np.ndarray) -> In
     path = recordings.folder / "rollouts.zarr"
     images = np.stack([read_rows(path, "image", int(start), int(start) + steps) for start in starts], 1)
     proprio = np.stack([demos.arrays["proprio"][start : start + steps] for start in starts], 1)
-    goals = rows % len(goal_images)
-    return Inputs(images, proprio, place, goals, goal_images[goals])
+    if goal_size:
+        commanded = Demonstrations.load(recordings.folder, ["goal"]).arrays["goal"][rows]
+        padded = np.pad(commanded, ((0, 0), (0, goal_size - commanded.shape[1])))
+        return Inputs(images, proprio, place, padded, commanded)
+    if goal_images is None:
+        return Inputs(images, proprio, place, np.zeros_like(rows), None)
+    numbers = rows % len(goal_images)
+    return Inputs(images, proprio, place, numbers, goal_images[numbers])
 
 
 def export(graph: Graph, inputs: Inputs, file: Path) -> None:
-    """The model alone, without metadata. `inputs`: EXAMPLE_ROWS episodes or more; their first step is the example."""
+    """Writes the model without metadata. inputs: at least EXAMPLE_ROWS episodes, whose first step is the example.
+
+    Raises ArtifactError where the model is for that number of episodes only: torch fixes it without a warning where
+    Python code reads a size as a number, for example by `len`.
+    """
     rows = EXAMPLE_ROWS
     task, goal = torch.full((rows,), inputs.task), torch.from_numpy(inputs.goals[:rows])
     seen = [torch.from_numpy(value[0, :rows]) for value in (inputs.images, inputs.proprio)]
@@ -131,18 +151,28 @@ def export(graph: Graph, inputs: Inputs, file: Path) -> None:
         output_names=["action", *(NEXT + name for name in graph.names)],
         dynamic_shapes=({0: batch}, {0: batch}, {0: batch}, {0: batch}, tuple({0: batch} for _ in memory)),
     )
+    inputs_of_model = onnx.load(file).graph.input
+    if fixed := [one.name for one in inputs_of_model if not one.type.tensor_type.shape.dim[0].dim_param]:
+        raise ArtifactError(f"the model's inputs {', '.join(fixed)} have a fixed number of episodes, {rows}")
 
 
 def _describe(
-    file: Path, artifact: Path, tasks: list[str], graph: Graph, acting: ActingConfig, recordings: list[Recordings]
+    file: Path,
+    artifact: Path,
+    tasks: list[str],
+    graph: Graph,
+    goal: str,
+    acting: ActingConfig,
+    recordings: list[Recordings],
 ) -> None:
-    """Writes into the model what its user has to know."""
+    """Writes the metadata that a user of the model needs into the model. goal: `imitation.goal`."""
     model = onnx.load(file)
     model.ir_version = IR_VERSION
     notes = {
         "tasks": tasks,
         "starts": [one.task.start for one in recordings],
         "horizons": [TASKS[name].horizon for name in tasks],
+        "goal": goal,
         "goals": [0] * len(tasks) if graph.counts is None else graph.counts.tolist(),
         "image_size": recordings[0].image_size,
         "acting": acting.model_dump(),
@@ -164,34 +194,48 @@ def _check(parity: Parity, kind: str) -> None:
         raise ArtifactError(f"the model differs from the student by {max(parity.action, parity.memory):.1e}: {parity}")
 
 
-def _listed(graph: Graph) -> str:
-    """Rows of the card's table."""
+def _plans_chunks(student: Student) -> bool:
+    """Whether the setting `acting` matters."""
+    return student.settings.chunk > 1 and not student.settings.recurrent
+
+
+def _rows(graph: Graph) -> str:
+    """Rows of the memory in the card's table."""
     rows = []
-    for name, (shape, kind) in graph.stepping.memory.items():
+    for name, (shape, kind) in graph.memory.items():
         sizes = f"({', '.join(map(str, ('B', *shape)))}{'' if shape else ','})"
         rows.append(f"| `{MEMORY}{name}` | {sizes} {str(kind).removeprefix('torch.')} | memory |")
     return "\n".join(rows)
 
 
+_IMAGES = "| `goal` | (B,) int64 | number of one of the task's goal images |\n"
+GOALS = {
+    "own": _IMAGES,
+    "any": _IMAGES,
+    "vector": "| `goal` | (B, G) float32 | commanded goal of the episode, padded with zeros |\n",
+    "off": "",
+}
+"""`imitation.goal` -> rows of the card's table."""
+
 USE = """\
-`student.onnx` is all of it: backbone, normaliser, networks, and the goal images of its training. Nothing of torch is
-needed to run it.
+`student.onnx` holds the whole student: backbone, normaliser, networks, and the goal images of its training where it
+has goal images. It runs without torch.
 
 | input | shape | what |
 |---|---|---|
-| `image` | (B, H, W, 3) uint8 | for any number B of episodes side by side |
+| `image` | (B, H, W, 3) uint8 | for any number B of episodes in lockstep |
 | `proprio` | (B, P) float32 | |
 | `task` | (B,) int64 | number of the task |
-| `goal` | (B,) int64 | number of one of the task's goal images |
-{inputs}
+{goals}{memory}
 
-The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, `next.`
-in place of `memory.`. Inputs that a student does not use are not in the file. Chunks become actions by `{acting}`,
-eta {eta}. The file's metadata have the tasks' names, starts and time limits, their numbers of goal images and the size
-of the image.
+The memory is zero before an episode's first step. Outputs are `action` (B, A) in [-1, 1] and the next memory, with
+`next.` in place of `memory.`. The file has no inputs that the student does not use. {acting}The file's metadata are the
+tasks' names, starts and time limits, the kind of goal (`imitation.goal`), the numbers of goal images and the size of
+the image.
 
-Largest difference to the student in torch, on recorded and random inputs: actions {action:.1e}, memory {memory:.1e},
-over {steps} steps. Left out are {ties} steps in which the two likeliest choices lie within {bound:.0e} of each other.
+Largest difference to the student in torch, on recorded and random inputs: actions {action_difference:.1e}, memory
+{memory_difference:.1e}, over {steps} steps. {ties} steps are left out: their two likeliest choices lie within
+{bound:.0e} of each other.
 
 Run it in the simulator: `python examples/play.py <this folder>/student.onnx`.
 """

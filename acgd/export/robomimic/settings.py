@@ -6,7 +6,7 @@ from acgd.settings import Section
 
 
 class RobomimicSettings(Section):
-    """The HDF5 files of robomimic, one for each task: it names one environment for a file."""
+    """HDF5 files of robomimic, one for each task, since a file names one environment."""
 
     stages: ClassVar[tuple[str, ...]] = ("rollouts", "onpolicy")
 

@@ -1,7 +1,8 @@
 """robomimic's HDF5: `data/demo_<i>` with `obs`, `next_obs`, `actions`, `states`, ...; masks `train` and `valid`.
 
-`states` is MuJoCo's mjSTATE_INTEGRATION before each action. The group `model_fields` of a demonstration, which
-robomimic reads past, holds what its reset wrote into the model: with both it is replayed in the simulator.
+`states` is MuJoCo's mjSTATE_INTEGRATION before each action. The group `model_fields` of a demonstration holds the
+fields of the model that its reset wrote. From both a demonstration is replayed in the simulator. robomimic ignores the
+group.
 """
 
 import json
@@ -17,12 +18,12 @@ from acgd.export.robomimic.settings import RobomimicSettings
 from acgd.tasks.spec import TASKS
 
 GYM_TYPE = 2
-"""robomimic's number for environments made by Gym."""
+"""robomimic's number for environments of Gym."""
 OBSERVATIONS = ("image", "proprio", "state")
 
 
 def write(settings: RobomimicSettings, artifacts: Sequence[Path], folder: Path) -> str:
-    """`<task>.hdf5` for each task."""
+    """Writes `<task>.hdf5` for each task."""
     for task in load_all(artifacts):
         with h5py.File(folder / f"{TASKS[task.task.name].slug}.hdf5", "w", libver="latest") as file:
             _write_task(file, task)
@@ -67,10 +68,10 @@ def _write_episode(demo: h5py.Group, episode: Recording) -> None:
 
 
 USE = """\
-One file of robomimic for each task, with the masks `train` and `valid`: this project's own split of the episodes.
-Observations: `image` (rgb), `proprio` (low_dim), and the privileged `state` (low_dim), which a policy that is to act
-from images must not read.
-`mean_action` is the expert's mean action, `actions` what was executed.
+One file of robomimic for each task, with the masks `train` and `valid`: this project's split of the episodes.
+Observations: `image` (rgb), `proprio` (low_dim), and the privileged `state` (low_dim), which a policy that acts from
+images must not read.
+`mean_action` is the expert's mean action, `actions` are the executed actions.
 
 ```python
 import robomimic.utils.obs_utils as ObsUtils

@@ -1,4 +1,4 @@
-"""Episodes as other projects' formats hold them."""
+"""Episodes of other projects' formats."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,12 @@ import numpy as np
 
 
 class UnreadableError(ValueError):
-    """A file that is not of its format, or damaged. The message names it."""
+    """A file is damaged, or not of its format. The message names the file."""
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """What this project's exports add to an episode, so that it can be replayed."""
+    """The data that this project's exports add to an episode, for its replay."""
 
     task: dict[str, str]
     """Name and start, as in TaskConfig."""
@@ -21,7 +21,7 @@ class Beginning:
     integration: np.ndarray
     """(N,) float64, MuJoCo's state before the first action."""
     model_fields: dict[str, np.ndarray]
-    """Fields of the model that the reset wrote."""
+    """Name -> field of the model that the reset wrote."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class OutsideEpisode:
     """One episode of T steps."""
 
     task: str
-    """The task, as the format calls it."""
+    """Name of the task in the format."""
     columns: dict[str, np.ndarray]
-    """The format's own name of a column -> (T, ...), or (T + 1, ...) for Minari's observations."""
+    """Name of a column in the format -> (T, ...), or (T + 1, ...) for Minari's observations."""
     beginning: Beginning | None
     """None in a file that another project wrote."""

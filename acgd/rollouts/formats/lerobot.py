@@ -1,4 +1,4 @@
-"""Reads LeRobotDataset v3.0: what `acgd export` writes, and what LeRobot does."""
+"""Reads datasets of LeRobotDataset v3.0, written by `acgd export` or by LeRobot."""
 
 import json
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ EXTRA = "acgd/"
 
 
 def episodes(folder: Path, *, images: bool = True) -> Iterator[OutsideEpisode]:
-    """The episodes of a dataset in their order. Columns have the names of its features."""
+    """The episodes of a dataset in their order. Columns have the names of the features."""
     info = _info(folder)
     extra = folder / "meta/acgd.json"
     tasks = json.loads(extra.read_text())["tasks"] if extra.is_file() else {}
@@ -50,8 +50,8 @@ def _info(folder: Path) -> dict[str, Any]:
 def _columns(folder: Path, info: dict[str, Any], row: dict[str, Any], images: bool) -> dict[str, np.ndarray]:
     at = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
     table = _table(folder / info["data_path"].format(**at))
-    own = np.flatnonzero(table["episode_index"].to_numpy() == row["episode_index"])
-    rows = table.slice(int(own[0]), len(own))
+    steps = np.flatnonzero(table["episode_index"].to_numpy() == row["episode_index"])
+    rows = table.slice(int(steps[0]), len(steps))
     columns = {}
     for name, feature in info["features"].items():
         if feature["dtype"] in ("image", "video") and not images:
@@ -65,7 +65,7 @@ def _columns(folder: Path, info: dict[str, Any], row: dict[str, Any], images: bo
             while isinstance(flat, pa.ListArray | pa.FixedSizeListArray | pa.ExtensionArray):
                 flat = flat.storage if isinstance(flat, pa.ExtensionArray) else flat.flatten()
             shape = () if tuple(feature["shape"]) == (1,) else feature["shape"]
-            columns[name] = flat.to_numpy(zero_copy_only=False).reshape(len(own), *shape)
+            columns[name] = flat.to_numpy(zero_copy_only=False).reshape(len(steps), *shape)
     return columns
 
 

@@ -1,4 +1,4 @@
-"""Reads Minari's HDF5 datasets, with spaces of arrays as `acgd export` writes them."""
+"""Reads Minari's HDF5 datasets whose spaces are arrays, such as those of `acgd export`."""
 
 import json
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from acgd.rollouts.formats.episode import Beginning, OutsideEpisode, UnreadableE
 
 
 def episodes(folder: Path, *, images: bool = True) -> Iterator[OutsideEpisode]:
-    """The episodes of every dataset below a folder. `observations/<name>` are (T + 1, ...), the final one last."""
+    """The episodes of all datasets below a folder. `observations/<name>` are (T + 1, ...), the final one last."""
     for file in sorted(Path(folder).rglob("metadata.json")):
         try:
             metadata = json.loads(file.read_text(encoding="utf-8"))
@@ -30,12 +30,12 @@ def _episodes(file: h5py.File, metadata: dict, images: bool) -> Iterator[Outside
             columns |= {name: value[()] for name, value in read.items() if images or value.ndim != 4}
         beginning = None
         if "acgd" in group:
-            own = group["acgd"]
+            extra = group["acgd"]
             beginning = Beginning(
                 task=specification["kwargs"]["task"],
                 seed=int(group.attrs["seed"]),
-                outcome={name: bool(value) for name, value in json.loads(own.attrs["outcome"]).items()},
-                integration=own["integration"][()],
-                model_fields={name: value[()] for name, value in own["model_fields"].items()},
+                outcome={name: bool(value) for name, value in json.loads(extra.attrs["outcome"]).items()},
+                integration=extra["integration"][()],
+                model_fields={name: value[()] for name, value in extra["model_fields"].items()},
             )
         yield OutsideEpisode(specification["id"], columns, beginning)

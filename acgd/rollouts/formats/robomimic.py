@@ -1,4 +1,4 @@
-"""Reads robomimic's HDF5: what `acgd export` writes, and what robomimic and its like do."""
+"""Reads HDF5 files of robomimic's layout, written by `acgd export` or by another project."""
 
 import json
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from acgd.rollouts.formats.episode import Beginning, OutsideEpisode, UnreadableE
 def episodes(path: Path, *, images: bool = True) -> Iterator[OutsideEpisode]:
     """The demonstrations of a file, or of all *.hdf5 files of a folder, in the order of their numbers.
 
-    Columns are called as in the file: `actions`, `obs/<name>`, `rewards`, `states`, ... `next_obs` is not read.
+    Columns have the names of the file: `actions`, `obs/<name>`, `rewards`, `states`, ... `next_obs` is not read.
     """
     for file in sorted(Path(path).glob("*.hdf5")) if Path(path).is_dir() else [Path(path)]:
         try:
