@@ -28,15 +28,14 @@ TASKS, EPISODES, LENGTH = 3, 30, 100
 FEATURES, PROPRIO, STATE, ACTIONS = 64, 85, 110, 39
 STEPS, WARMUP = 30, 3
 WIDTH = 128
-"""Width of every kind of student in the comparison of kinds."""
+"""Of every kind of student where kinds are compared."""
 GEMM = 1024
 MOST_GUIDANCE = 1.40
 
 
 def run() -> list[Row]:
-    """Rows of an unguided step, of a matrix product, and of a guided step (two dueling critics of 128 units per task).
-
-    Then rows of an unguided step of every kind of student, all of the same width and batch.
+    """Rows of a matrix product; of an unguided and a guided step of acgd (two dueling critics of 128 units per task);
+    of an unguided step of every kind of student at the same width and batch.
 
     The calls take turns. Times are processor times, which other processes disturb less. The median counts.
     """
