@@ -196,8 +196,8 @@ def _check(parity: Parity, kind: str) -> None:
         )
     if parity.action > BOUND or parity.memory > MEMORY_BOUND or not parity.steps:
         raise ArtifactError(
-            f"the model differs from the student by more than {BOUND} in actions or {MEMORY_BOUND} in the memory, or no "
-            f"step counts: {parity}"
+            f"the model differs from the student by more than {BOUND} in actions or {MEMORY_BOUND} in the memory, "
+            f"or no step counts: {parity}"
         )
 
 
