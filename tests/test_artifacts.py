@@ -261,7 +261,7 @@ def test_gc_frees_what_no_study_names(store, study, made, capsys):
 
 def test_gc_frees_nothing_where_a_study_cannot_be_read(store, study, made):
     Path("config.yaml").write_text("nam: t")
-    with pytest.raises(ConfigError, match="config.yaml: nam: unknown key"):
+    with pytest.raises(ConfigError, match="config.yaml, line 1: nam: unknown key"):
         commands.free(store, [], yes=True)
     assert made.exists()
 
@@ -343,7 +343,7 @@ def test_the_command_line_says_what_to_mend_and_fails_without_a_trace(tmp_path):
     run = acgd("check", cwd=tmp_path)
     assert (
         run.returncode == 1
-        and run.stderr == "error: config.yaml: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
+        and run.stderr == "error: config.yaml, line 1: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
     )
     run = acgd("critic", "config.yaml", cwd=tmp_path)
     assert run.returncode == 1 and "config.yaml is no request" in run.stderr and "Traceback" not in run.stderr
