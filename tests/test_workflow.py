@@ -28,9 +28,14 @@ PUBLISHING = {"publish": 1, "mlflow": 1}
 
 
 def dry_run(folder, *arguments):
-    """Exit code and text of `snakemake -n`, in this process: starting one costs seconds."""
+    """Exit code and text of `snakemake -n`."""
+    return run(folder, "-n", *arguments)
+
+
+def run(folder, *arguments, root=ROOT):
+    """Exit code and text of snakemake, in this process: starting one costs seconds."""
     before, said = Path.cwd(), io.StringIO()
-    base = ["--snakefile", str(ROOT / "workflow/Snakefile"), "--directory", str(folder), "--cores", "2", "-n"]
+    base = ["--snakefile", str(root / "workflow/Snakefile"), "--directory", str(folder), "--cores", "1"]
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             main([*base, *map(str, arguments)])

@@ -1,6 +1,6 @@
 """The text of a configuration file: YAML as people write it, with the line of every key.
 
-The words of YAML 1.2 hold: `true` and `false` are the only truth values, so that `off`, `no` and `on` are words. Numbers
+The words of YAML 1.2 hold: only `true` and `false` are truth values, so that `off`, `no` and `on` are words. A number
 may have an exponent without a point (1e-3). A key is a text as it is written, so that `10` and `no` can name a variant.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from acgd.study.load import Content, ConfigError, dotted
+from acgd.study.load import ConfigError, Content, dotted
 
 Place = tuple[str | int, ...]
 
@@ -73,15 +73,16 @@ class _Reader:
         """The map of a node. A key of the map itself replaces a merged one (`<<: *name`)."""
         first: dict[Hashable, yaml.Node] = {}
         merged: dict[str, Any] = {}
-        own: dict[str, Any] = {}
+        direct: dict[str, Any] = {}
         for key, item in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise ConfigError(f"{self.line(key)}: a key must be a text. Write `name: value`.")
             name = key.value
             where = (*place, name)
             if name in first:
+                before = first[name].start_mark.line + 1
                 raise ConfigError(
-                    f"{self.line(key)}: {dotted(where)} is there twice, first in line {first[name].start_mark.line + 1}. "
+                    f"{self.line(key)}: {dotted(where)} is there twice, first in line {before}. "
                     "Merge the two, or remove one."
                 )
             first[name] = key
@@ -93,8 +94,8 @@ class _Reader:
                     merged |= one
             else:
                 self.lines[dotted(where)] = self.line(key)
-                own[name] = self.value(item, where, around)
-        return {**merged, **own}
+                direct[name] = self.value(item, where, around)
+        return {**merged, **direct}
 
     def line(self, node: yaml.Node) -> str:
         return f"{self.source}, line {node.start_mark.line + 1}"
