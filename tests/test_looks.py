@@ -16,6 +16,7 @@ from acgd.store.store import Store
 from acgd.study import names
 from acgd.study.plan import plan
 from acgd.study.study import load_study
+from acgd.tracking.mlflow_mirror import database_uri
 
 STAND_IN = """#!/bin/bash
 # $1 $2 $3 $4: -m acgd <stage> results/work/<stage>/<name>/<key>/request.json
@@ -208,6 +209,24 @@ def test_a_checkout_may_be_in_a_folder_with_any_name(tmp_path, stand_in, name):
         said
     )
     assert made(root) == ["expert -"] and (root / "results/t/acgd/myo-pose/expert").exists()
+
+
+def test_a_checkout_below_a_folder_with_a_colon_is_refused(tmp_path):
+    root = tmp_path / "a:b"
+    shutil.copytree(ROOT / "workflow", root / "workflow")
+    code, said = run(tmp_path, "-n", "--configfile", edited(tmp_path), root=root)
+    assert code != 0 and "PYTHONPATH cannot hold. Rename it." in said
+
+
+def test_the_database_stays_in_a_folder_with_a_question_mark(tmp_path, monkeypatch):
+    results = tmp_path / "what? #1" / "results"
+    results.mkdir(parents=True)
+    monkeypatch.chdir(results.parent)
+    assert database_uri(results) == "sqlite:///results/mlflow.db"
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RuntimeError, match="question mark.*Rename"):
+        database_uri(results)
+    assert database_uri(tmp_path) == f"sqlite:///{tmp_path}/mlflow.db"
 
 
 def test_results_and_store_may_be_behind_links(tmp_path, stand_in):

@@ -85,12 +85,13 @@ def mark(store: Store, action: str, study: str, fingerprint: str, source: str = 
 def other_source(store: Store, study: str, source: Path) -> Path | None:
     """Another configuration that published a study of this name, and still has the name. None without one."""
     from acgd.study.load import ConfigError, read_yaml
+    from acgd.study.study import Study
 
     for record in (store.results / "work" / "published" / study).glob("*"):
         other = Path(_text(record) or "/")
         if other.is_file() and not (source.exists() and other.samefile(source)):
             try:
-                return other if read_yaml(other).get("name") == study else None
+                return other if read_yaml(other).get("name", Study.model_fields["name"].default) == study else None
             except ConfigError:
                 return None
     return None
