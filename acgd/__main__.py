@@ -96,6 +96,9 @@ def _parser() -> argparse.ArgumentParser:
     from acgd.experts import zoo_commands
 
     zoo_commands.add_parser(verbs)
+    from acgd.export import commands as export_commands
+
+    export_commands.add_parser(verbs)
     return parser
 
 
@@ -199,5 +202,10 @@ def _schema(options: argparse.Namespace) -> None:
     write(options.docs)
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """The installed command `acgd`."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()
