@@ -10,7 +10,7 @@ CORES ?= 2
 
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
 INSTALLED := .venv/.installed
-SOURCES := acgd benchmarks tests docs/images
+SOURCES := acgd benchmarks examples tests docs/images setup.py
 
 .PHONY: demo test bench docs venv lock system
 

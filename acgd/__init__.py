@@ -15,6 +15,7 @@ ORDER = (
     "students",
     "evaluation",
     "collection",
+    "export",
     "reports",
     "chain",
     "study",

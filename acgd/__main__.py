@@ -68,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     verb.add_argument("--configuration", required=True, help="the study's whole configuration as JSON")
     verb.add_argument("--fingerprint", required=True, help="fingerprint of the plan that the workflow has run")
+    verb.add_argument("--source", default="", help="path of the study's configuration, which is recorded")
     verb.set_defaults(run=_publish)
     verb = verbs.add_parser("keep", help="keep a study's finished results, without weights, under docs/results/")
     verb.add_argument("study", type=Path, metavar="study.yaml")
@@ -95,6 +96,9 @@ def _parser() -> argparse.ArgumentParser:
     from acgd.experts import zoo_commands
 
     zoo_commands.add_parser(verbs)
+    from acgd.export import commands as export_commands
+
+    export_commands.add_parser(verbs)
     return parser
 
 
@@ -150,7 +154,7 @@ def _publish(options: argparse.Namespace) -> None:
             "Code, simulator or a file that the study reads has changed since the workflow was started. "
             "Start the workflow again."
         )
-    print(f"report: {names.publish(Store(options.store), plan)}")
+    print(f"report: {names.publish(Store(options.store), plan, options.source)}")
 
 
 def _keep(options: argparse.Namespace) -> None:
@@ -198,5 +202,10 @@ def _schema(options: argparse.Namespace) -> None:
     write(options.docs)
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """The installed command `acgd`."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

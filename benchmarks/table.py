@@ -9,7 +9,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-BENCHMARKS = ("rendering", "dexterous", "experts", "collecting", "student", "ranking", "evaluation", "verdict", "study")
+BENCHMARKS = (
+    "rendering",
+    "dexterous",
+    "experts",
+    "collecting",
+    "student",
+    "ranking",
+    "evaluation",
+    "verdict",
+    "onnx",
+    "study",
+)
 """Modules with `run() -> list[Row]`."""
 RESULT = Path("results/bench.json")
 FIELDS = ("value", "unit", "ratio", "target", "met")

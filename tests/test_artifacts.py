@@ -12,7 +12,8 @@ import pytest
 
 from acgd import chain
 from acgd.store import job
-from acgd.store.store import ArtifactError, Store, check
+from acgd.store.atomic import replace_text
+from acgd.store.store import ArtifactError, Store, check, damages
 from acgd.study import commands, names
 from acgd.study.load import ConfigError
 from acgd.study.plan import identity, plan
@@ -261,7 +262,7 @@ def test_gc_frees_what_no_study_names(store, study, made, capsys):
 
 def test_gc_frees_nothing_where_a_study_cannot_be_read(store, study, made):
     Path("config.yaml").write_text("nam: t")
-    with pytest.raises(ConfigError, match="config.yaml: nam: unknown key"):
+    with pytest.raises(ConfigError, match="config.yaml, line 1: nam: unknown key"):
         commands.free(store, [], yes=True)
     assert made.exists()
 
@@ -275,20 +276,60 @@ def test_ls_names_stage_size_and_studies(store, study, made, capsys):
     assert [line.split()[-1] for line in lines if "0123456789abcdef" in line] == ["-"]
 
 
-def test_names_are_written_and_taken_away_when_they_no_longer_hold(store, study):
+def test_names_are_written_where_they_are_outdated_and_those_of_before_removed(store, study):
     publish_all(store, study)
+    assert set(names.outdated(store, study)) == set(names.all_names(study))
     page = names.publish(store, study)
     student = page.parent / "base/student"
     assert page.read_text() == "page" and student.read_text() == f"{store.path(study.names['base/student'][0].place)}\n"
-    names.prune(store, study)
-    assert student.exists() and page.exists()
-    store.remove(study.names["base/student"][0].place)
-    names.prune(store, study)
-    assert not student.exists() and not (page.parent / "base/seed-0/student").exists()
-    assert (page.parent / "base/codebook").exists() and (page.parent / "report").exists()
+    assert names.outdated(store, study) == []
+    student.unlink()
     (page.parent / "base/codebook").write_text("results/store/codebook/of/another\n")
-    names.prune(store, study)
-    assert not (page.parent / "base/codebook").exists() and page.exists()
+    replace_text(page.parent / "other/student", student.parent.joinpath("expert").read_text())
+    (page.parent / "notes").write_text("mine\n")
+    assert set(names.outdated(store, study)) == {"base/codebook", "base/student"}
+    names.publish(store, study)
+    assert names.outdated(store, study) == [] and not (page.parent / "other/student").exists()
+    assert (page.parent / "notes").exists()
+
+
+def test_a_second_configuration_of_one_name_is_noticed(store, study):
+    publish_all(store, study)
+    first, second = Path("config.yaml").resolve(), Path("second.yaml").resolve()
+    second.write_text(first.read_text())
+    names.publish(store, study, str(first))
+    assert names.other_source(store, "t", first) is None and names.other_source(store, "t", second) == first
+    with pytest.raises(ConfigError, match="2 studies have the name t.*Give each its own"):
+        commands.check(store, [first, second])
+    first.write_text(first.read_text().replace('"t"', '"u"'))
+    assert names.other_source(store, "t", second) is None
+
+
+def test_an_artifact_is_made_again_only_if_asked(store):
+    store.make(PLACE, IDENTITY, fill_with(a=b"1"))
+    manifest = store.path(PLACE) / "manifest.json"
+    for again, content in ((False, b"1"), (True, b"2")):
+        assert not store.make(PLACE, IDENTITY, fill_with(a=b"2"), again)  # it is there
+        manifest.unlink()  # Snakemake, before a job whose output is forced
+        assert store.make(PLACE, IDENTITY, fill_with(a=b"2"), again)
+        assert (store.path(PLACE) / "a").read_bytes() == content and not damages(
+            store.path(PLACE), store.manifest(PLACE)["payload"]
+        )
+
+
+def test_the_store_may_be_on_another_disk(store, monkeypatch):
+    rename = os.rename
+
+    def across(source, target):
+        if Path(source).parent != Path(target).parent:
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", across)
+    (store.path(PLACE).parent / f"{store.path(PLACE).name}.draft").mkdir(parents=True)  # of a kill
+    assert store.make(PLACE, IDENTITY, fill_with(a=b"1"))
+    assert [entry.name for entry in store.path(PLACE).parent.iterdir()] == [store.path(PLACE).name]
+    assert not damages(store.path(PLACE), store.manifest(PLACE)["payload"])
 
 
 def test_a_job_refuses_a_request_that_its_key_does_not_belong_to(store, study):
@@ -343,7 +384,8 @@ def test_the_command_line_says_what_to_mend_and_fails_without_a_trace(tmp_path):
     run = acgd("check", cwd=tmp_path)
     assert (
         run.returncode == 1
-        and run.stderr == "error: config.yaml: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
+        and run.stderr
+        == "error: config.yaml, line 1: studnet: unknown key. Nearest: student. Rename it, or remove it.\n"
     )
     run = acgd("critic", "config.yaml", cwd=tmp_path)
     assert run.returncode == 1 and "config.yaml is no request" in run.stderr and "Traceback" not in run.stderr

@@ -1,6 +1,7 @@
 """Experts: PPO that resumes, policies that are plain torch, cards that belong to their weights."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -542,11 +543,32 @@ def test_other_versions_than_those_of_the_training_are_a_warning(entry, capsys):
 
     content = json.loads((entry / "card.json").read_text())
     card.write(content | {"versions": content["versions"] | {"mujoco": "0.1"}}, entry)
-    assert main(["zoo", "verify"]) == 0
+    assert main(["zoo", "manifest"]) == main(["zoo", "verify"]) == 0
     printed = capsys.readouterr().out
     assert "mujoco" in printed and "0.1 when it was measured" in printed and "re-evaluate" in printed
     with pytest.raises(SystemExit, match="nearest is myo-reach"):
         main(["zoo", "evaluate", "myo/reech"])
+
+
+def test_the_manifest_of_the_zoo_names_every_file_and_what_defines_the_task(entry, capsys):
+    from acgd.__main__ import main
+
+    assert main(["zoo", "verify"]) == 1 and "manifest.json is missing" in capsys.readouterr().out
+    assert main(["zoo", "manifest"]) == main(["zoo", "verify"]) == 0
+    assert "# Expert of myo/reach" in (entry / "README.md").read_text()
+    curve = (entry / "curve.csv").read_text()
+    (entry / "curve.csv").write_text(curve + "\n")
+    assert main(["zoo", "verify"]) == 1 and "curve.csv is not the file of the release" in capsys.readouterr().out
+    (entry / "curve.csv").write_text(curve)
+    manifest = zoo.ROOT / "manifest.json"
+    manifest.write_text(re.sub('"episode": "[^"]*"', '"episode": "other"', manifest.read_text()))
+    assert main(["zoo", "verify"]) == 1 and "has changed since its expert was measured" in capsys.readouterr().out
+
+
+def test_the_zoo_is_what_its_manifest_says(capsys):
+    from acgd.__main__ import main
+
+    assert main(["zoo", "verify"]) == 0, capsys.readouterr().out
 
 
 def test_missing_entry_names_what_the_zoo_has(entry, tmp_path):

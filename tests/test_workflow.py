@@ -28,9 +28,14 @@ PUBLISHING = {"publish": 1, "mlflow": 1}
 
 
 def dry_run(folder, *arguments):
-    """Exit code and text of `snakemake -n`, in this process: starting one costs seconds."""
+    """Exit code and text of `snakemake -n`."""
+    return run(folder, "-n", *arguments)
+
+
+def run(folder, *arguments, root=ROOT):
+    """Exit code and text of snakemake, in this process: starting one costs seconds."""
     before, said = Path.cwd(), io.StringIO()
-    base = ["--snakefile", str(ROOT / "workflow/Snakefile"), "--directory", str(folder), "--cores", "2", "-n"]
+    base = ["--snakefile", str(root / "workflow/Snakefile"), "--directory", str(folder), "--cores", "1"]
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             main([*base, *map(str, arguments)])
@@ -147,3 +152,14 @@ def test_a_study_takes_the_place_of_the_default_and_the_command_line_changes_it(
     (tmp_path / "study.json").write_text(json.dumps({"name": "u", "tasks": ["myo/reach"], "expert": {"kind": "ppo"}}))
     said = dry_run(tmp_path, "--configfile", tmp_path / "study.json")[1]
     assert "results/u/base/seed-0/student" in said and "results/t/" not in said and "results/u/acgd/" not in said
+
+
+def test_the_text_of_the_file_counts_and_not_what_snakemake_reads(tmp_path):
+    """Snakemake takes `off` for false and the last of two equal keys."""
+    file = tmp_path / "study.yaml"
+    file.write_text("tasks: [myo/reach]\nexpert: {kind: ppo}\nname: off\nimitation: {goal: off}\n")
+    code, said = dry_run(tmp_path, "--configfile", file)
+    assert code == 0 and "results/off/base/seed-0/student" in said
+    file.write_text(file.read_text() + "name: u\n")
+    code, said = dry_run(tmp_path, "--configfile", file)
+    assert code != 0 and "study.yaml, line 5: name is there twice, first in line 3" in said and "Traceback" not in said

@@ -6,7 +6,9 @@ from typing import Any
 
 from acgd.tasks.spec import TASKS
 
-ROOT = Path(__file__).resolve().parents[2] / "zoo"
+_PACKAGE = Path(__file__).resolve().parents[1]
+ROOT = _PACKAGE / "zoo" if (_PACKAGE / "zoo").is_dir() else _PACKAGE.parent / "zoo"
+"""Part of an installed package; in a clone it lies beside the package."""
 POLICY = ("policy.safetensors", "policy.json")
 CRITIC = ("critic.safetensors", "critic.json")
 """Files of a critic. The critics of an off-policy learner lie beside the policy. The critic that was fitted to the

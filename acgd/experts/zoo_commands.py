@@ -6,11 +6,14 @@ import sys
 
 
 def add_parser(subparsers) -> None:
-    """Adds `zoo list | verify | evaluate | card` to the command line."""
+    """Adds `zoo list | verify | manifest | evaluate | card` to the command line."""
     zoo = subparsers.add_parser("zoo", help="list, verify and re-evaluate the trained experts in zoo/")
     verbs = zoo.add_subparsers(dest="verb", required=True)
     verbs.add_parser("list", help="a line for each expert").set_defaults(run=_list)
-    verbs.add_parser("verify", help="check cards against weights and versions").set_defaults(run=_verify)
+    verbs.add_parser("verify", help="check the manifest and cards against files, tasks and versions").set_defaults(
+        run=_verify
+    )
+    verbs.add_parser("manifest", help="write manifest.json and the pages of the experts").set_defaults(run=_manifest)
     evaluate = verbs.add_parser("evaluate", help="measure an expert's success again")
     evaluate.add_argument("task", help="name or slug, such as myo/key-turn")
     evaluate.add_argument("--episodes", type=int, default=200)
@@ -55,6 +58,7 @@ def _list(args: argparse.Namespace) -> int:
 
 def _verify(args: argparse.Namespace) -> int:
     from acgd.experts.card import check, other_versions
+    from acgd.experts.zoo_manifest import faults
 
     faulty = 0
     for spec, folder in _entries():
@@ -64,9 +68,20 @@ def _verify(args: argparse.Namespace) -> int:
             print(f"{spec.name}: {error}")
             faulty += 1
             continue
+        if manifest_faults := list(faults(spec, folder)):
+            print(*(f"{spec.name}: {fault}" for fault in manifest_faults), sep="\n")
+            faulty += 1
+            continue
         notes = other_versions(card)
         print(f"{spec.name}: sound" + (f"; warning: {'; '.join(notes)}: re-evaluate it" if notes else ""))
     return 1 if faulty else 0
+
+
+def _manifest(args: argparse.Namespace) -> int:
+    from acgd.experts import zoo_manifest
+
+    zoo_manifest.write(_entries())
+    return 0
 
 
 def _evaluate(args: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ class Block(nn.Module):
         normed = self.norm_attention(tokens)
         query, sources = self.query(normed), self.key_value(normed)
         if context is not None:
-            query, sources = (x.expand(len(context), -1, -1) for x in (query, sources))
+            query, sources = (x.expand(context.shape[0], -1, -1) for x in (query, sources))
             sources = torch.cat([self.key_value(context), sources], dim=1)
         key, value = sources.chunk(2, dim=-1)
         attended = F.scaled_dot_product_attention(self._split(query), self._split(key), self._split(value))

@@ -71,6 +71,18 @@ def read_group(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     return {name: _decode(path, opened[name]) for name in names}
 
 
+def read_rows(path: Path, name: str, start: int, stop: int) -> np.ndarray:
+    """Rows `start` to `stop` of one array, for those who cannot hold all of it. DamagedStoreError as above."""
+    array = _open(path, name)
+    for file in _chunk_files(path, array):
+        if not file.is_file():
+            raise _damaged(file, "is missing")
+    try:
+        return np.asarray(array[start:stop])
+    except Exception as error:
+        raise _damaged(_first_unreadable(path, array), "does not decode") from error
+
+
 def _rows_per_chunk(value: np.ndarray) -> int:
     if value.ndim == 4:
         return FRAMES_PER_CHUNK

@@ -7,14 +7,14 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acgd.settings import Request, imported
 from acgd.store.atomic import replace_text
-from acgd.store.key import InputKeys, key_of
+from acgd.store.key import InputKeys, canonical, key_of
 from acgd.store.stage import Context, Inputs, Stage
 from acgd.store.store import ArtifactError, Store, Workspace, check
 
@@ -53,7 +53,7 @@ def make(job: Mapping[str, Any], stage: Stage, identify: Identify, store: Store,
             "precision_used": _precision(request, context.device),
         }
 
-    made = store.make(place, identity, fill)
+    made = store.make(place, identity, fill, job.get("again", False))
     _log(place, f"made in {store.path(place)}" if made else "is there already")
 
 
@@ -182,10 +182,15 @@ def request_file(store: Store, place: str) -> Path:
     return store.work(place) / "request.json"
 
 
-def write_requests(store: Store, jobs: Mapping[str, str]) -> None:
-    """Writes a request file for each artifact that the store lacks. `jobs`: place -> Artifact.job."""
+def write_requests(store: Store, jobs: Mapping[str, str], again: Collection[str] = ()) -> None:
+    """Writes a request file for each artifact that the store lacks. `jobs`: place -> Artifact.job.
+
+    again: places of artifacts that are made again; their requests say so.
+    """
     for place, job in jobs.items():
-        if not store.has(place):
+        if place in again:
+            replace_text(request_file(store, place), canonical({**json.loads(job), "again": True}))
+        elif not store.has(place):
             replace_text(request_file(store, place), job)
 
 

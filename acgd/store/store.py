@@ -85,10 +85,18 @@ class Store:
         """The manifest. Raises ArtifactError where it is missing or damaged."""
         return _manifest(self.path(place))
 
-    def make(self, place: str, identity: Mapping[str, Any], fill: Callable[[Workspace], Mapping[str, Any]]) -> bool:
+    def make(
+        self,
+        place: str,
+        identity: Mapping[str, Any],
+        fill: Callable[[Workspace], Mapping[str, Any]],
+        again: bool = False,
+    ) -> bool:
         """Calls `fill` to make the payload and publishes it. Returns False where the store has the artifact already.
 
-        `fill` returns the content of run.json. Raises ArtifactError on a full disk, and whatever `fill` raises.
+        `fill` returns the content of run.json. again: replaces a payload without manifest, even an undamaged one (the
+        workflow removes the manifest of an artifact that it makes again). Raises ArtifactError on a full disk, and
+        whatever `fill` raises.
         """
         path, work = self.path(place), self.work(place)
         try:
@@ -96,7 +104,7 @@ class Store:
                 if self.has(place):
                     return False
                 if path.exists():
-                    if not damages(path, _checksums(path)) and (path / CHECKSUMS).is_file():
+                    if not again and (path / CHECKSUMS).is_file() and not damages(path, _checksums(path)):
                         self._declare(path, place, identity)
                         return True
                     shutil.rmtree(path)
@@ -270,7 +278,10 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _move(folder: Path, path: Path) -> None:
-    """Renames `folder` to `path`. Makes the parent again if a concurrent removal of another artifact has removed it."""
+    """Renames `folder` to `path`, from another disk by a copy.
+
+    Makes the parent again if a concurrent removal of another artifact has removed it.
+    """
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -279,6 +290,24 @@ def _move(folder: Path, path: Path) -> None:
         except FileNotFoundError:
             if not folder.exists():
                 raise
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            folder = _copied_beside(folder, path)
+
+
+def _copied_beside(folder: Path, path: Path) -> Path:
+    """A synced copy of `folder` on the disk of `path`, which may be another one than that of the work."""
+    draft = path.with_name(path.name + ".draft")
+    shutil.rmtree(draft, ignore_errors=True)
+    shutil.copytree(folder, draft)
+    for entry in (draft, *draft.rglob("*")):
+        if entry.is_dir():
+            _sync_folder(entry)
+        else:
+            with open(entry, "rb") as file:
+                os.fsync(file.fileno())
+    return draft
 
 
 def _sync_folder(folder: Path) -> None:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -111,12 +111,22 @@ def mirror(store: Store, plans: Iterable[Plan]) -> None:
 
 
 def check(store: Store, files: Sequence[Path]) -> None:
-    """`acgd check`: validates the studies and prints the artifacts that each still needs."""
-    for plan in plans(files):
+    """`acgd check`: validates the studies and prints the artifacts that each still needs.
+
+    Raises ConfigError where two studies have one name.
+    """
+    studies = plans(files)
+    for plan in studies:
         missing = [artifact for artifact in plan.artifacts.values() if not store.has(artifact.place)]
         print(f"{plan.study}: valid; {len(plan.artifacts)} artifacts, {len(missing)} of them to make")
         for artifact in missing:
             print(f"  {artifact.place}  {' '.join(plan.names_of(artifact)[:3])}")
+    counts = Counter(plan.study for plan in studies)
+    if twice := [study for study, count in counts.items() if count > 1]:
+        raise ConfigError(
+            f"{counts[twice[0]]} studies have the name {twice[0]}, and so one folder {store.results / twice[0]}. "
+            "Give each its own `name:`."
+        )
 
 
 def _plan(file: Path) -> Plan:
@@ -126,7 +136,7 @@ def _plan(file: Path) -> Plan:
     except ConfigError as error:
         lines = str(error).splitlines()
         raise ConfigError(
-            "\n".join(line if line.startswith(f"{file}:") else f"{file}: {line}" for line in lines)
+            "\n".join(line if line.startswith((f"{file}:", f"{file}, line")) else f"{file}: {line}" for line in lines)
         ) from None
 
 

@@ -35,22 +35,61 @@ class ConfigError(Exception):
     """The configuration is invalid. The user sees the text unchanged."""
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """The map in a configuration file. Raises ConfigError of a missing, unreadable or malformed file."""
-    import yaml
+class Content(dict[str, Any]):
+    """The map of a configuration file. `lines`: dotted place -> `<file>, line <number>`."""
+
+    def __init__(self, content: Mapping[str, Any], lines: Mapping[str, str]) -> None:
+        super().__init__(content)
+        self.lines = dict(lines)
+
+
+def read_yaml(path: Path) -> Content:
+    """The map in a configuration file, YAML or JSON. Raises ConfigError of a missing, unreadable or malformed file."""
+    from acgd.study.text import content_of
 
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = content_of(path.read_text(encoding="utf-8-sig"), path)
     except FileNotFoundError:
         near = difflib.get_close_matches(path.name, [file.name for file in path.parent.glob("*.yaml")], n=1, cutoff=0.4)
         raise ConfigError(
             f"{path}: no such file." + (f" Nearest: {path.parent / near[0]}." if near else " Give the path of a study.")
         ) from None
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+    except (UnicodeDecodeError, OSError) as error:
         raise ConfigError(f"{path}: not readable as YAML. {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
+    if not isinstance(content, Content):
         raise ConfigError(f"{path}: holds {_kind(content)} instead of a map of settings. Start from config.yaml.")
     return content
+
+
+def read_study(files: Iterable[Path], changes: Iterable[str] = ()) -> Content:
+    """The configuration of a run of the workflow: the files, each over the one before, then `changes` (`key=value`)."""
+    from acgd.study.text import content_of
+
+    content = Content({}, {})
+    for path in files:
+        read = read_yaml(path)
+        content = Content(merge(content, read), content.lines | read.lines)
+    for change in changes:
+        name, _, text = change.partition("=")
+        content = Content(merge(content, {name.strip(): content_of(text, f"--config {change}")}), content.lines)
+    return content
+
+
+def located(message: str, lines: Mapping[str, str]) -> str:
+    """The text of a ConfigError, each fault of a place with the line of that place before it."""
+    return "\n".join(_located(fault, lines) for fault in message.splitlines())
+
+
+def _located(fault: str, lines: Mapping[str, str]) -> str:
+    head, *rest = fault.split(": ")
+    for place in (f"{head}.{rest[0]}" if rest else head, head):
+        if place in lines:
+            return f"{lines[place]}: {fault}"
+    # A missing key and a variant of `expand` have no line of their own; what is around them has one.
+    while head := head[: max(head.rfind("."), head.rfind("["), 0)]:
+        if head in lines:
+            return f"{lines[head]}: {fault}"
+    return fault
 
 
 def validated(
@@ -135,6 +174,8 @@ def _explain(model: type[BaseModel], root: type[BaseModel], fault: dict[str, Any
     if fault["type"] == "union_tag_invalid":
         return f"{where}.kind: {_mend_choice(fault['ctx']['tag'], fault['ctx']['expected_tags'])}"
     expected = _EXPECTED.get(fault["type"]) or _lower(message)
+    if fault["type"] == "string_type" and isinstance(value, int | float):
+        return f"{where}: {expected}, not {_shown(value)}. Put it in quotes: '{str(value).lower()}'."
     return f"{where}: {expected}, not {_shown(value)}. Correct it, or leave the key out{_default(field)}."
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 from acgd.store.atomic import replace_file, replace_text
@@ -21,34 +22,23 @@ def fingerprint(plan: Plan) -> str:
     return hashlib.sha256(canonical(places).encode()).hexdigest()[:KEY_LENGTH]
 
 
-def content(store: Store, plan: Plan, name: str) -> str:
+def content(store: Store, artifacts: Iterable[Artifact]) -> str:
     """Content of the file of a name: one directory per line."""
-    return "".join(f"{store.path(artifact.place)}\n" for artifact in all_names(plan)[name])
+    return "".join(f"{store.path(artifact.place)}\n" for artifact in artifacts)
 
 
-def prune(store: Store, plan: Plan) -> dict[Path, str]:
-    """Removes the names of artifacts that the plan or the store lacks. Returns file -> content of the removed names."""
-    removed = {}
+def outdated(store: Store, plan: Plan) -> list[str]:
+    """Names of the plan whose file is absent or lists other directories."""
+    folder = store.results / plan.study
+    return [name for name, artifacts in all_names(plan).items() if _text(folder / name) != content(store, artifacts)]
+
+
+def prune(store: Store, plan: Plan) -> None:
+    """Removes the names in the study's folder that the plan lacks."""
     folder, names = store.results / plan.study, all_names(plan)
     for file in [file for file in folder.rglob("*") if file.is_file() and _is_name(file)]:
-        name = file.relative_to(folder).as_posix()
-        text = file.read_text(encoding="utf-8")
-        is_valid = (
-            name in names
-            and text == content(store, plan, name)
-            and all(store.has(artifact.place) for artifact in names[name])
-        )
-        if not is_valid:
-            removed[file] = text
+        if file.relative_to(folder).as_posix() not in names:
             file.unlink()
-    return removed
-
-
-def restore(removed: dict[Path, str]) -> None:
-    """Writes the names that `prune` has removed, unless the file exists again."""
-    for file, text in removed.items():
-        if not file.exists():
-            replace_text(file, text)
 
 
 def prune_dangling(store: Store) -> None:
@@ -62,37 +52,57 @@ def prune_dangling(store: Store) -> None:
             file.unlink()
 
 
-def publish(store: Store, plan: Plan) -> Path:
-    """Copies the report to `results/<study>/` and writes the names of the study. Returns the page's path."""
+def publish(store: Store, plan: Plan, source: str = "") -> Path:
+    """Copies the report to `results/<study>/` and writes the names of the study. Returns the page's path.
+
+    Removes names of before. source: path of the configuration, for `other_source`.
+    """
     folder = store.results / plan.study
     report = store.path(plan.report.place)
     for file in sorted(report.rglob("*")):
         if file.is_file() and not (file.parent == report and file.name in (*NOT_PAYLOAD, METRICS)):
             target = folder / file.relative_to(report)
             replace_file(target, lambda draft, source=file: shutil.copyfile(source, draft))
-    for name in all_names(plan):
-        write(store, plan, name)
-    mark(store, "published", plan.study, fingerprint(plan))
+    for name, artifacts in all_names(plan).items():
+        text = content(store, artifacts)
+        if _text(folder / name) != text:
+            replace_text(folder / name, text)
+    prune(store, plan)
+    mark(store, "published", plan.study, fingerprint(plan), source)
     return folder / "report.html"
 
 
-def mark(store: Store, action: str, study: str, fingerprint: str) -> None:
+def mark(store: Store, action: str, study: str, fingerprint: str, source: str = "") -> None:
     """Records a finished action (`published`, `mirrored`): `results/work/<action>/<study>/<fingerprint>`.
 
-    Removes the records of earlier fingerprints.
+    The file contains the path of the configuration. Removes the records of earlier fingerprints.
     """
     folder = store.results / "work" / action / study
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    (folder / fingerprint).touch()
+    replace_text(folder / fingerprint, source)
 
 
-def write(store: Store, plan: Plan, name: str) -> None:
-    """Writes the file of a name, unless it has this content. A reader never sees an incomplete file."""
-    file = store.results / plan.study / name
-    text = content(store, plan, name)
-    if not file.is_file() or file.read_text(encoding="utf-8") != text:
-        replace_text(file, text)
+def other_source(store: Store, study: str, source: Path) -> Path | None:
+    """Another configuration that published a study of this name, and still has the name. None without one."""
+    from acgd.study.load import ConfigError, read_yaml
+    from acgd.study.study import Study
+
+    for record in (store.results / "work" / "published" / study).glob("*"):
+        other = Path(_text(record) or "/")
+        if other.is_file() and not (source.exists() and other.samefile(source)):
+            try:
+                return other if read_yaml(other).get("name", Study.model_fields["name"].default) == study else None
+            except ConfigError:
+                return None
+    return None
+
+
+def _text(file: Path) -> str | None:
+    """The text of a file. None where it is absent."""
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return None
 
 
 def _is_name(file: Path) -> bool:

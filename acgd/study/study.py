@@ -17,7 +17,7 @@ from acgd.experts import zoo
 from acgd.reports.settings import ReportConfig
 from acgd.settings import OUTSIDE_KEY, Section, imported
 from acgd.students.settings import RoundsConfig
-from acgd.study.load import ConfigError, dotted, merge, nearest, validated
+from acgd.study.load import ConfigError, dotted, located, merge, nearest, validated
 from acgd.study.variants import expanded
 from acgd.tasks.settings import TaskConfig
 from acgd.tasks.spec import GOAL_SIZES, TASKS
@@ -28,6 +28,10 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 RESERVED_STUDIES = ("store", "work", "logs", "benchmarks", "mlruns")
 """Folders of results/ that belong to no study."""
 RESERVED_VARIANTS = ("report", "mlflow")
+FILES_OF_RESULTS = (".html", ".csv", ".svg", ".db", ".lock", ".draft")
+"""Endings of files beside the folders of studies and variants."""
+LONGEST_NAME = 120
+"""Characters of a name: file systems have 255, and a name gets endings."""
 PER_TASK = ("task", "expert", "critic", "rollouts")
 """Sections that `overrides` may change for one task."""
 
@@ -173,8 +177,12 @@ class Study(Settings):
     @field_validator("variants")
     @classmethod
     def _usable_variants(cls, variants: dict[str, dict[str, JsonValue]]) -> dict[str, dict[str, JsonValue]]:
+        folders: dict[str, str] = {}
         for name in expanded(variants):
             _path_part(name, RESERVED_VARIANTS)
+            other = folders.setdefault(name.lower(), name)
+            if other != name:
+                raise ValueError(f"{other!r} and {name!r} are one folder on some disks. Rename one of them.")
         return variants
 
     @cached_property
@@ -200,9 +208,18 @@ class Study(Settings):
 def load_study(content: Mapping[str, Any]) -> Study:
     """Validates a configuration with all its variants, tasks and files.
 
-    Raises ConfigError with one line for each fault and its mend.
+    Raises ConfigError with one line for each fault and its mend; with the line in the file where `content` is Content.
     """
-    study = validated(Study, dict(content))
+    try:
+        return _loaded(content)
+    except ConfigError as error:
+        raise ConfigError(located(str(error), getattr(content, "lines", {}))) from None
+
+
+def _loaded(content: Mapping[str, Any]) -> Study:
+    if huge := list(_beyond_64_bits(content)):
+        raise ConfigError("\n".join(huge))
+    study = validated(Study, _at_home(content))
     faults = list(_faults(study))
     for name, settings in study.resolved.items():
         faults += [f"variants.{name}: {fault}" for fault in _faults(settings) if fault not in faults]
@@ -212,6 +229,27 @@ def load_study(content: Mapping[str, Any]) -> Study:
     if faults:
         raise ConfigError("\n".join(faults))
     return study
+
+
+def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
+    return iter(value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ())
+
+
+def _beyond_64_bits(value: Any, place: tuple[str | int, ...] = ()) -> Iterator[str]:
+    """A fault for each whole number that no file format of the store holds."""
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        yield f"{dotted(place)}: {value} has more than 64 bits. Use a smaller number."
+    for name, item in _items(value):
+        yield from _beyond_64_bits(item, (*place, name))
+
+
+def _at_home(value: Any) -> Any:
+    """The content with `~/` at the start of a text replaced by the home folder: such a text is a path."""
+    if isinstance(value, Mapping):
+        return {name: _at_home(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_at_home(item) for item in value]
+    return str(Path(value).expanduser()) if isinstance(value, str) and value.startswith("~/") else value
 
 
 def _explicit(value: Any) -> Any:
@@ -291,4 +329,8 @@ def _path_part(name: str, reserved: tuple[str, ...]) -> str:
         raise ValueError(
             f"{name!r} cannot name a folder. Use letters, digits, '.', '_' and '-', and none of {', '.join(reserved)}."
         )
+    if name.endswith(FILES_OF_RESULTS):
+        raise ValueError(f"{name!r} may be the name of a file in results/. Leave out the ending {Path(name).suffix}.")
+    if len(name) > LONGEST_NAME:
+        raise ValueError(f"{name!r} has {len(name)} characters. Use at most {LONGEST_NAME}.")
     return name

@@ -24,6 +24,11 @@ def expanded(variants: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, A
         for choice in itertools.product(*(values for _, values in lists)):
             parts = [f"{place[-1]}-{_slug(value)}" for (place, _), value in zip(lists, choice, strict=True)]
             full = "-".join([name, *parts])
+            if full in named and lists:
+                listed = ", ".join(f"{'.'.join(place)}: {values}" for place, values in lists)
+                raise ValueError(
+                    f"two variants have the name {full!r}. Take values with distinct names in {EXPAND} ({listed})."
+                )
             if full in named:
                 raise ValueError(f"two variants have the name {full!r}. Rename one of them.")
             chosen = dict(override)
@@ -59,4 +64,6 @@ def _replaced(override: Mapping[str, Any], place: Place, value: Any) -> dict[str
 
 def _slug(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
+    if isinstance(value, int | float) and value < 0:
+        text = f"minus{text}"
     return re.sub(r"[^A-Za-z0-9.]+", "-", text).strip("-") or "none"

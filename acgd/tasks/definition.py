@@ -20,7 +20,16 @@ from acgd.tasks.spec import TASKS
 
 FOLDER = Path(__file__).parent
 PACKAGE = "acgd.tasks"
-LEFT_OUT = ("spec.py", "settings.py", "registry.py", "definition.py", "simulator.py", "rendering/gl.py")
+LEFT_OUT = (
+    "__init__.py",
+    "spec.py",
+    "settings.py",
+    "registry.py",
+    "gymnasium_ids.py",
+    "definition.py",
+    "simulator.py",
+    "rendering/gl.py",
+)
 """Files that define no task: names, settings (a stage's request contains them), and the start of MuJoCo and OpenGL."""
 RENDERING = "rendering"
 CAMERA = "CAMERA"

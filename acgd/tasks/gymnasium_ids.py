@@ -1,16 +1,24 @@
-"""Gymnasium ids of the tasks: `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")`.
+"""Gymnasium names of the tasks: `gymnasium.make("acgd/myo-key-turn-v0")`.
 
-The import of this module registers the ids.
+`import acgd.tasks` has them registered; `gymnasium.make("acgd.tasks.gymnasium_ids:acgd/myo-key-turn-v0")` needs no
+import of its own.
 """
 
 import gymnasium
 
 from acgd.tasks.spec import TASKS
 
-for _spec in TASKS.values():
-    gymnasium.register(
-        id=f"acgd/{_spec.slug}-v0",
-        entry_point="acgd.tasks.registry:make",
-        kwargs={"task": _spec.name},
-        disable_env_checker=True,
-    )
+
+def register() -> None:
+    """Register every task, unless that has been done."""
+    for spec in TASKS.values():
+        if (name := f"acgd/{spec.slug}-v0") not in gymnasium.registry:
+            gymnasium.register(
+                id=name,
+                entry_point="acgd.tasks.registry:make",
+                kwargs={"task": spec.name},
+                disable_env_checker=True,
+            )
+
+
+register()

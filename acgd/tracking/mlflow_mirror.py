@@ -45,7 +45,13 @@ class Mirrored:
 
 
 def database_uri(results: Path) -> str:
-    return f"sqlite:///{Path(results).resolve() / 'mlflow.db'}"
+    """The address of the database. Raises RuntimeError where no address can express its path."""
+    path = str(Path(results).resolve() / "mlflow.db")
+    if "?" in path:  # begins the options of an address
+        path = os.path.relpath(path)
+    if "?" in path:
+        raise RuntimeError(f"the path {path} has a question mark, which MLflow cannot read. Rename the folder.")
+    return f"sqlite:///{path}"
 
 
 def sync(results: Path, study: str, artifacts: Sequence[Mirrored], lock_wait_s: float = LOCK_WAIT_S) -> int | None:

@@ -197,6 +197,12 @@ class ACGD(nn.Module):
         onehot, _ = quantizer.most_likely(self.latent_encoder(z_state, z_task))
         return self.decoder(self.quantizer.embed(onehot), z_state, z_task)
 
+    @torch.no_grad()
+    def margin(self, observation: Observation) -> Tensor:
+        """By how much the likeliest code leads, in the group where that is least, (B,)."""
+        first, second = self.latent_encoder(*self.observer(observation)).topk(2).values.unbind(-1)
+        return (first - second).amin(-1)
+
     def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""
         return ChunkPolicy(self, acting)

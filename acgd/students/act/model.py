@@ -139,7 +139,7 @@ class ACT(nn.Module):
     def plan(self, observation: Observation) -> Tensor:
         """The chunk (B, k, A) of z = 0, the mean of the prior."""
         tokens = self.tokens(self.inputs(observation), observation.task)
-        return self.decode(tokens.new_zeros(len(tokens), self.settings.latent), tokens)
+        return self.decode(tokens.new_zeros(tokens.shape[0], self.settings.latent), tokens)
 
     def policy(self, acting: ActingConfig) -> ChunkPolicy:
         """A policy that acts from the student's chunks."""

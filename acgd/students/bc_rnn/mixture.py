@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -33,7 +32,7 @@ class Mixture(NamedTuple):
         weights, and favours the modes with better actions.
         """
         mode = self.logits.argmax(-1)
-        chosen = torch.take_along_dim(self.means, mode[..., None, None], dim=-2).squeeze(-2)
+        chosen = self.means.gather(-2, mode[..., None, None].expand_as(self.means[..., :1, :])).squeeze(-2)
         weights = self.logits.softmax(-1)
         return chosen + ((weights - weights.detach())[..., None] * self.means.detach()).sum(-2)
 

@@ -117,6 +117,21 @@ class BCRNN(nn.Module):
         """A policy that acts step by step. It ignores `acting`, which is for chunks."""
         return RecurrentPolicy(self)
 
+    def stepping(self, acting: ActingConfig) -> "RecurrentStep":
+        """The function of the policy as a module, for acgd/export/onnx/stepping.py."""
+        return RecurrentStep(self)
+
+
+def _reset(hidden: Hidden, steps: Tensor, settings: BCRNNConfig) -> Hidden:
+    """The state before a step. With the setting `reset` it is zero every `sequence` steps of an episode.
+
+    steps (B,): actions taken so far.
+    """
+    if not settings.reset:
+        return hidden
+    kept = (steps % settings.sequence != 0)[:, None, None]
+    return Hidden(*(torch.where(kept, x, 0.0) for x in hidden))
+
 
 class Memory(NamedTuple):
     """State of the policy between steps, one row per environment. Rows are independent."""
@@ -152,9 +167,36 @@ class RecurrentPolicy:
         """obs: vision as in Observation, proprio (n, P) -> actions (n, A) float32 in the box, and the next memory."""
         proprio = np.asarray(obs["proprio"], np.float32)[:, None]
         observation = to_observation(obs["vision"][:, None], memory.goal, proprio, memory.task, self.device)
-        hidden, settings = memory.hidden, self.student.settings
-        if settings.reset:
-            kept = torch.as_tensor(memory.steps % settings.sequence != 0, device=self.device)[:, None, None]
-            hidden = Hidden(*(torch.where(kept, x, 0.0) for x in hidden))
+        hidden = _reset(memory.hidden, torch.as_tensor(memory.steps, device=self.device), self.student.settings)
         actions, _, hidden = self.student(observation, hidden)
         return actions[:, 0].cpu().numpy(), memory._replace(hidden=hidden, steps=memory.steps + 1)
+
+
+class RecurrentStep(nn.Module):
+    """RecurrentPolicy as a function of tensors for one step: see acgd/export/onnx/stepping.py."""
+
+    def __init__(self, student: BCRNN) -> None:
+        super().__init__()
+        self.student = student
+        shape = (student.settings.layers, student.settings.width)
+        self.memory = {name: (shape, torch.float32) for name in Hidden._fields}
+
+    def run(
+        self, vision: Tensor, goal: Tensor | None, proprio: Tensor, task: Tensor, memory: dict[str, Tensor]
+    ) -> tuple[Tensor, Mixture | None, Hidden]:
+        """As BCRNN.forward with L = 1."""
+        hidden = _reset(Hidden(memory["short"], memory["long"]), memory["steps"], self.student.settings)
+        return self.student(Observation(vision[:, None], goal, proprio[:, None], task), hidden)
+
+    def forward(self, *step) -> tuple[Tensor, dict[str, Tensor]]:
+        """Arguments of `run` -> actions (B, A), next memory."""
+        actions, _, hidden = self.run(*step)
+        return actions[:, 0], hidden._asdict()
+
+    def margin(self, *step) -> Tensor:
+        """Arguments of `run` -> lead of the likeliest mode (B,)."""
+        actions, mixture, _ = self.run(*step)
+        if mixture is None or self.student.settings.modes == 1:
+            return actions.new_full((len(actions),), torch.inf)
+        first, second = mixture.logits[:, 0].topk(2).values.unbind(-1)
+        return first - second

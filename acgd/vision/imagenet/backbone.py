@@ -36,7 +36,9 @@ class ImageNet(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         x = self.preprocess(images)
-        at_once = max(1, PIXELS_IN_CACHE // self.preprocess.size**2) if x.device.type == "cpu" else len(x)
+        if x.device.type != "cpu" or torch.compiler.is_exporting():  # an exported loop would fix the number of images
+            return self.network(x).float()
+        at_once = max(1, PIXELS_IN_CACHE // self.preprocess.size**2)
         return torch.cat([self.network(part) for part in x.split(at_once)]).float()
 
     @classmethod
