@@ -11,8 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from acgd.store.store import RUN, Store
 from acgd.study.load import read_yaml
 from acgd.study.plan import plan
@@ -137,7 +135,7 @@ def _one_more_variant(config: Path, results: Path, artifacts: int) -> Row:
     content = read_yaml(config)
     content["variants"] = {**content.get("variants", {}), "one-more": {"guidance": {"alpha": 1.2345}}}
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
-        yaml.safe_dump(content, file, sort_keys=False)
+        json.dump(content, file)
         file.flush()
         jobs = dry_run(Path(file.name), results.resolve().parent)
     seeds = len(load_study(content).seeds)
