@@ -1,12 +1,12 @@
 """The folder of an export. It appears when it is complete, and nothing is overwritten."""
 
 import contextlib
-import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from acgd.store.key import file_digest
 from acgd.store.store import ArtifactError
 
 SUMS = "SHA256SUMS"
@@ -35,11 +35,7 @@ def filled(folder: Path) -> Iterator[Path]:
 
 def write_sums(folder: Path) -> str:
     """Writes SHA256SUMS of all files in the form of sha256sum. Returns the SHA-256 of that file."""
-    lines = []
-    for file in sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS):
-        with file.open("rb") as content:
-            digest = hashlib.file_digest(content, "sha256").hexdigest()
-        lines.append(f"{digest}  {file.relative_to(folder).as_posix()}\n")
-    text = "".join(lines)
-    (folder / SUMS).write_text(text, encoding="utf-8")
-    return hashlib.sha256(text.encode()).hexdigest()
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS)
+    lines = [f"{file_digest(file)}  {file.relative_to(folder).as_posix()}\n" for file in files]
+    (folder / SUMS).write_text("".join(lines), encoding="utf-8")
+    return file_digest(folder / SUMS)
