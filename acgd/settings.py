@@ -1,6 +1,6 @@
 """Settings: frozen, typed, unknown keys refused. No `settings.py` imports torch or a simulator."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Union
@@ -62,3 +62,15 @@ def one_of(kinds: Mapping[str, Kind], default: str) -> Any:
 
     members = [Annotated[imported(kind.settings), Tag(name)] for name, kind in kinds.items()]
     return Annotated[Union[tuple(members)], Discriminator(kind_of)]  # noqa: UP007
+
+
+def values_of(name: str, settings: Any) -> Iterator[Any]:
+    """The values of every field `name` in nested settings, as model_dump or JSON gives them."""
+    if isinstance(settings, dict):
+        for key, value in settings.items():
+            if key == name:
+                yield value
+            yield from values_of(name, value)
+    elif isinstance(settings, list | tuple):
+        for value in settings:
+            yield from values_of(name, value)

@@ -1,13 +1,14 @@
 """A published artifact as the report reads it. A missing file gives an empty result, and a table without its row."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from acgd.settings import values_of
 from acgd.store.metrics import read
 
 
@@ -46,7 +47,7 @@ class Artifact:
     @property
     def precision(self) -> str | None:
         """Precision of the computation, `float32` or `bfloat16`; None for settings without bfloat16."""
-        if "bfloat16" not in _values(self.request, "precision"):
+        if "bfloat16" not in values_of("precision", self.request):
             return None
         return self.run.get("precision_used", "bfloat16" if self.run.get("bfloat16", True) else "float32")
 
@@ -98,15 +99,3 @@ def load(inputs: Mapping[str, Iterable[Path]]) -> dict[str, list[Artifact]]:
         stage: min((depth(artifact.key) for artifact in each), default=0) for stage, each in artifacts.items()
     }
     return {stage: artifacts[stage] for stage in sorted(artifacts, key=stage_depths.__getitem__)}
-
-
-def _values(content: object, name: str) -> Iterator[object]:
-    """Every value of the key `name` in a JSON document, at any depth."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            if key == name:
-                yield value
-            yield from _values(value, name)
-    elif isinstance(content, list):
-        for value in content:
-            yield from _values(value, name)

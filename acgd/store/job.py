@@ -7,12 +7,12 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acgd.settings import Request, imported
+from acgd.settings import Request, imported, values_of
 from acgd.store.atomic import replace_text
 from acgd.store.key import InputKeys, canonical, key_of
 from acgd.store.stage import Context, Inputs, Stage
@@ -136,22 +136,10 @@ def _precision(request: Request, device: "torch.device") -> str | None:
     """
     from acgd.store.precision import has_bfloat16
 
-    configured = set(_values_of("precision", request.model_dump()))
+    configured = set(values_of("precision", request.model_dump()))
     if "bfloat16" in configured:
         return "bfloat16" if has_bfloat16(device) else "float32"
     return "float32" if configured else None
-
-
-def _values_of(name: str, settings: Any) -> Iterable[Any]:
-    """The values of every field `name` in nested settings."""
-    if isinstance(settings, dict):
-        for key, value in settings.items():
-            if key == name:
-                yield value
-            yield from _values_of(name, value)
-    elif isinstance(settings, list | tuple):
-        for value in settings:
-            yield from _values_of(name, value)
 
 
 def _processor() -> str:

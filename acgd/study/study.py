@@ -38,7 +38,7 @@ PER_TASK = ("task", "expert", "critic", "rollouts")
 TaskDefaults = create_model(
     "TaskDefaults",
     __base__=Section,
-    __doc__="Settings of every task: all fields of a task except its name.",
+    __doc__="All fields of a task except its name.",
     **{name: (field.annotation, field) for name, field in TaskConfig.model_fields.items() if name != "name"},
 )
 
@@ -71,9 +71,7 @@ class _Axes(Section):
         min_length=1,
         description="Conditions of the evaluation, one artifact each. The first one is the headline.",
     )
-    rounds: RoundsConfig = Field(
-        RoundsConfig(), description="On-policy rounds: more rollouts, in which the student acts."
-    )
+    rounds: RoundsConfig = Field(RoundsConfig(), description="More rollouts after the demonstrations.")
     task: TaskDefaults = Field(TaskDefaults(), description="Settings of every task. `overrides` has exceptions.")
     overrides: dict[str, TaskOverrides] = Field({}, description="Task name -> settings of that task that differ.")
 
